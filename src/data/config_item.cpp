@@ -250,7 +250,7 @@ void ConfigItem::set_integer(std::uint64_t value) {
 void ConfigItem::set_number(double value) {
   if (!std::isfinite(value))
     throw SetupError({Errc::bad_argument, "cannot set a configuration item to " + std::to_string(value), path(),
-                      "a configuration file has no such number", "leave the item out, or use null"});
+                      "a configuration file has no such number", "remove the item, or use null"});
   value_ = Number{value, ""};
 }
 

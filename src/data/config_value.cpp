@@ -19,7 +19,7 @@ bool out_of_range(const ConfigItem& item, const std::string& least, const std::s
   return false;
 }
 
-/// "1 GB" as a number of bytes; empty when the text is no such size.
+/// "1 GB" as a number of bytes; empty when the text is not a size.
 std::string bytes_of(std::string_view text) {
   constexpr std::pair<std::string_view, double> units[] = {
       {"B", 1},           {"kB", 1e3},           {"KB", 1e3}, {"MB", 1e6}, {"GB", 1e9}, {"TB", 1e12}, {"KiB", 1024.0},
@@ -131,7 +131,7 @@ bool read_floating(const ConfigItem& item, Float& out, Problems& problems) {
     out = static_cast<Float>(*number);
   } else if (const std::int64_t* integer = item.as_signed()) {
     out = static_cast<Float>(*integer);
-    // 2^63 itself is no int64: converting it back would be undefined.
+    // 2^63 itself is not an int64: converting it back would be undefined.
     if (out >= static_cast<Float>(9223372036854775808.0) || static_cast<std::int64_t>(out) != *integer)
       return inexact();
   } else if (const std::uint64_t* large = item.as_unsigned()) {

@@ -70,7 +70,7 @@ Error bad(std::string where, std::string why) {
 Result<Value> value_of(const Leaf& leaf, Cell& cell) {
   const auto wrong = [&](const char* what) {
     return Error{Errc::not_a_number, "the cell does not fit its column", "field " + leaf.path,
-                 "\"" + cell.text + "\" is no " + what, ""};
+                 "\"" + cell.text + "\" is not " + what, ""};
   };
   if (!cell.quoted && cell.text.empty() && leaf.optional != nullptr) return Value{};
   switch (leaf.kind) {
@@ -79,7 +79,7 @@ Result<Value> value_of(const Leaf& leaf, Cell& cell) {
       return wrong("true or false");
     case Kind::character:
       if (const auto c = detail::character_of(detail::unescaped(cell.text))) return Value(*c);
-      return wrong("character");
+      return wrong("a character");
     case Kind::text:
     case Kind::record:
       return Value(detail::unescaped(cell.text));
@@ -107,7 +107,7 @@ Result<Value> value_of(const Leaf& leaf, Cell& cell) {
   }
   double number = 0;
   if (to_number(cell.text, number)) return Value(number);
-  return wrong("number in range");
+  return wrong("a number in range");
 }
 
 class CsvCodec final : public Codec {

@@ -83,7 +83,8 @@ Result<void> check(const std::vector<Field>& fields, std::size_t size, const std
     const std::string place = "field " + path;
     if (!is_name(field.name) && !(where.empty() && is_added_name(field.name, fields))) {
       return not_usable("field \"" + path + "\"",
-                        "a field name has letters, digits and underscores and starts with no digit", "rename it");
+                        "a field name has letters, digits and underscores and does not start with a digit",
+                        "rename it");
     }
     if (!seen.insert(lower_case(field.name)).second) {
       return not_usable(place, "the name is there twice (upper and lower case count as the same)",
@@ -144,7 +145,8 @@ Result<void> check(const std::vector<Field>& fields, std::size_t size, const std
       return not_usable(place, "only a record has fields of its own", "make its type \"record\"");
     }
     if (field.size != expected || field.size > largest_payload || field.count > largest_payload) {
-      return not_usable(place, std::to_string(field.size) + " bytes are no size for a " + shape(field), "change it");
+      return not_usable(place, std::to_string(field.size) + " bytes is not a possible size for a " + shape(field),
+                        "change it");
     }
     const std::size_t least = field.size + (field.optional != nullptr ? 1 : 0);
     if (field.stride < least || field.stride > largest_payload || field.offset > size ||
@@ -255,7 +257,8 @@ Result<std::shared_ptr<const Description>> Description::make(std::string name, s
                                                              bool is_of_changes) {
   if (!is_name(name)) {
     return not_usable("record \"" + name + "\"",
-                      "a record's name has letters, digits and underscores and starts with no digit", "rename it");
+                      "a record's name has letters, digits and underscores and does not start with a digit",
+                      "rename it");
   }
   if (size == 0 || size > largest_payload || alignment == 0 || (alignment & (alignment - 1)) != 0) {
     return not_usable("record " + name, "a payload of " + std::to_string(size) + " bytes is not possible",

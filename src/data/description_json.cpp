@@ -169,7 +169,7 @@ Result<Field> field_from(const JsonNode& node, const std::string& where, int dep
   }
   field.unit = std::move(unit);
   if (const JsonNode* count = node.find("array")) {
-    if (!is(count, Type::natural)) return not_usable(place, "array is no count", R"(write "array": 3)");
+    if (!is(count, Type::natural)) return not_usable(place, "array is not a count", R"(write "array": 3)");
     field = array_of(std::move(field), static_cast<std::size_t>(count->natural));
   }
   auto presence = DescriptionBuilder::Presence::always;

@@ -7,7 +7,7 @@
 
 namespace rtdata::detail {
 
-/// Empty: they are no bytes.
+/// Empty: the text is not hexadecimal bytes.
 std::optional<std::string> bytes_of_hex(std::string_view text);
 
 }  // namespace rtdata::detail

@@ -179,7 +179,7 @@ Result<Value> value_of(const Leaf& leaf, Scanner& line) {
     return Value(std::move(text));
   }
   std::string word = line.name(", ");
-  const auto wrong = [&] { return bad("field " + leaf.path, "\"" + word.substr(0, 64) + "\" is no value"); };
+  const auto wrong = [&] { return bad("field " + leaf.path, "\"" + word.substr(0, 64) + "\" is not a value"); };
   if (leaf.kind == Kind::boolean) {
     if (bool flag = false; detail::read_boolean(word, flag) || word == "t" || word == "T" || word == "f" || word == "F")
       return Value(word.front() == 't' || word.front() == 'T');
@@ -216,7 +216,7 @@ class InfluxCodec final : public Codec {
     for (const std::string_view text : {event.topic(), event.origin()}) {
       if (detail::fits_influx_name(text)) continue;
       return Error{Errc::does_not_fit, "cannot write the event as a line of InfluxDB", detail::readable(text),
-                   "it has no way to write this name", "line breaks and some backslashes cannot be in it"};
+                   "the format cannot write this name", "use a name without line breaks and backslashes"};
     }
     line_.clear();
     append_name(line_, event.topic());

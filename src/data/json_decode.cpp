@@ -21,7 +21,7 @@ enum class Source {
   cbor,  ///< texts without escapes
 };
 
-/// Of one event.
+/// Decodes one event.
 class Reader {
  public:
   explicit Reader(Source source) : source_(source) {}

@@ -16,7 +16,7 @@ T load(const std::byte* from) noexcept {
   return value;
 }
 
-/// Of an integer kind; uint64 as the same bits.
+/// Loads a value of an integer kind; uint64 as the same bits.
 inline std::int64_t load_integer(Kind kind, const std::byte* from) noexcept {
   switch (kind) {
     case Kind::i8:

@@ -12,7 +12,7 @@
 namespace rtdata::detail {
 
 inline constexpr const char* permissions_rule =
-    "permissions are octal digits that let the owner read and write, and no user execute: such as \"0640\" or \"0644\"";
+    "permissions are octal digits; the owner may read and write, and no user may execute: such as \"0640\" or \"0644\"";
 
 /// Empty: invalid text.
 inline std::optional<mode_t> permissions_of(std::string_view text) noexcept {

@@ -40,7 +40,7 @@ Error within(const Field& record, std::size_t element, Error error) {
 }
 
 Error too_long(const std::string& where, std::size_t size) {
-  return does_not_fit(where, "it has " + std::to_string(size) + " bytes, a value may have 255");
+  return does_not_fit(where, "it has " + std::to_string(size) + " bytes, but a value has at most 255");
 }
 
 /// The plan for encoding a payload: its values in order.
@@ -423,7 +423,7 @@ class RawCodec final : public Codec {
     return {};
   }
 
-  /// Total size, topic, time, origin and sequence but for the two texts.
+  /// The bytes of total size, topic, time, origin and sequence, without the two texts.
   static constexpr std::size_t longest_header = 4 + 1 + 9 + 1 + 9;
 
   RawConfig config_;

@@ -1,4 +1,4 @@
-// Durations for people: two digits, or all digits of a whole number.
+// Durations as readable text: two digits, or all digits of a whole number.
 #pragma once
 
 #include <array>

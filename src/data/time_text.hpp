@@ -9,7 +9,7 @@ namespace rtdata::detail {
 
 inline constexpr std::size_t iso8601_size = 30;
 
-/// What `to_iso8601` gives: always `iso8601_size` characters. Returns the end.
+/// Writes the text of `to_iso8601`: always `iso8601_size` characters. Returns the end.
 char* put_iso8601(char* to, Time time) noexcept;
 
 }  // namespace rtdata::detail

@@ -15,7 +15,7 @@ namespace rtdata::detail {
 std::size_t utf8_size(std::string_view text) noexcept;
 bool is_utf8(std::string_view text) noexcept;
 
-/// A text for people: each byte that is not UTF-8, and each zero byte, becomes \xHH. Cannot be undone.
+/// A text for display: each byte that is not UTF-8, and each zero byte, becomes \xHH. Cannot be undone.
 std::string readable(std::string_view text);
 /// True if `readable` does not change the text.
 bool is_readable(std::string_view text) noexcept;

@@ -85,7 +85,7 @@ class RunCopy {
   void find_sources();
   /// How many rows of the origin the server refused, as far as the recording remembers.
   std::uint64_t refused(std::string_view topic, std::string_view origin) const;
-  /// Whether the sink is done with all rows of the origin that are in the recording.
+  /// True if the sink is done with all rows of the origin that are in the recording.
   bool is_done_with(std::string_view topic, std::string_view origin) const;
 
   const sqlite::Database& database_;

@@ -131,7 +131,7 @@ std::string password_in(const std::string& url) {
   char* why = nullptr;
   const Options options(PQconninfoParse(url.c_str(), &why));
   if (options == nullptr) {
-    // What libpq says may hold part of the URL, and so of a password.
+    // The message of libpq may contain part of the URL, and so of a password.
     PQfreemem(why);
     refuse("libpq does not understand it",
            "write postgresql://user@host:port/database, with % and two digits for other characters");
@@ -176,7 +176,7 @@ Connection::Connection(const Address& address) : timeout_(address.timeout) {
     keywords.push_back(keyword);
     values.push_back(value.c_str());
   };
-  // Those before the URL are defaults, those after it hold.
+  // Settings before the URL are defaults; settings after it override it.
   set("application_name", name);
   set("keepalives_idle", keepalive_idle);
   set("keepalives_interval", keepalive_interval);
@@ -198,7 +198,7 @@ Connection::Connection(const Address& address) : timeout_(address.timeout) {
   if (connection == nullptr) throw SetupError({Errc::io_failed, doing_, "", "no memory", ""});
   PQsetNoticeProcessor(
       connection, [](void*, const char*) {}, nullptr);
-  PQsetErrorVerbosity(connection, PQERRORS_VERBOSE);  // the code stands in the text alone while connecting
+  PQsetErrorVerbosity(connection, PQERRORS_VERBOSE);  // while connecting, only the text has the code
   const auto place = [&] {
     const auto text = [](const char* value) { return value != nullptr ? std::string(value) : std::string(); };
     std::string where = "server " + text(PQhost(connection));
@@ -226,10 +226,10 @@ Connection::Connection(const Address& address) : timeout_(address.timeout) {
   if (server_encoding == nullptr || std::string_view(server_encoding) != "UTF8") {
     throw SetupError({Errc::bad_argument, "cannot use the database", where_,
                       std::string("its encoding is ") + (server_encoding != nullptr ? server_encoding : "not known") +
-                          ", in which not every text has a place",
-                      "make one with the encoding UTF8: createdb -E UTF8 -T template0"});
+                          ", which cannot store every text",
+                      "make a database with the encoding UTF8: createdb -E UTF8 -T template0"});
   }
-  // The server's own limits are shorter than ours, so that it is its reason that is told.
+  // The server's own limits are shorter than ours, so that the error has its reason.
   std::string sql = "SET statement_timeout=" + milliseconds(address.timeout * 4 / 5) +
                     ";SET lock_timeout=" + milliseconds(address.timeout / 2) +
                     ";SET idle_in_transaction_session_timeout=" + milliseconds(address.timeout * 2) +
@@ -340,7 +340,7 @@ void Connection::put(std::string_view data) {
   constexpr std::size_t piece = (std::size_t{64} << 10) - 5;
   PGconn* const connection = connection_.get();
   for (std::size_t at = 0; at < data.size(); at += piece) {
-    // What libpq holds back is bounded: no more is given before it is gone.
+    // The buffer of libpq is limited: gives it no more before it is empty.
     const auto until = Clock::now() + timeout_;
     for (int flushed = PQflush(connection); flushed != 0; flushed = PQflush(connection)) {
       if (flushed < 0) lost();

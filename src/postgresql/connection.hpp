@@ -67,7 +67,7 @@ class Connection {
   /// Statements among which are `COPY ... FROM STDIN`: each gets the next of `data`. In one round trip.
   void copy(const std::string& sql, std::span<const std::string_view> data);
   /// One statement, whose values come in binary: calls `row` with one answer for each row. If that throws, the others
-  /// stay unread, and the connection is of no more use.
+  /// stay unread, and the connection cannot be used any more.
   void each(const std::string& sql, const std::function<void(const Reply&)>& row);
   void set_timeout(Duration timeout) noexcept { timeout_ = timeout; }
   /// Ends a failed transaction, if there is one.

@@ -57,7 +57,7 @@ T load_big(const char* from) noexcept {
   return big_endian(value);
 }
 
-/// numeric_send; false: it is no whole number of 64 bits.
+/// numeric_send; false: it is not a whole number of 64 bits.
 bool read_numeric(std::string_view bytes, std::uint64_t& value) noexcept {
   if (bytes.size() < 8) return false;
   const auto at = [&](std::size_t i) { return load_big<std::int16_t>(bytes.data() + 2 * i); };
@@ -173,7 +173,7 @@ struct Run {
 /// By run, a sentence each.
 using Sentences = std::vector<std::pair<std::int64_t, std::string>>;
 
-constexpr std::int64_t no_run = -1;  // none is recorded; 0 stands for all
+constexpr std::int64_t no_run = -1;  // no run has this number; 0 means all runs
 
 class Download {
  public:
@@ -397,8 +397,8 @@ void Download::compare(const Run& run) {
       tell("rtdata_position says that its rows are in the table " + table +
            ", but rtdata_topic does not list this table.");
     } else if (topic->topic != one.topic) {
-      tell("rtdata_position says that its rows are in the table " + table + ", but that table is of " + topic->topic +
-           ".");
+      tell("rtdata_position says that its rows are in the table " + table + ", but that table belongs to " +
+           topic->topic + ".");
     } else if (!said.is_there) {
       tell(std::to_string(found.rows) + " rows that rtdata_position does not list.");
     } else if (found.rows != said.rows) {
@@ -479,9 +479,10 @@ void Download::make_account(const Run& run) {
   insert.bind(4, to_nanoseconds(has_rows ? first_ : Time{}));
   has_rows ? insert.bind(5, to_nanoseconds(last_)) : insert.bind_null(5);
   insert.run();
-  notes.emplace_back(run.run,
-                     "No account came along, because the events were sent from memory: the rows are intact, but losses "
-                     "on the way are not known.");
+  notes.emplace_back(
+      run.run,
+      "The account was not sent, because the events were sent from memory: the rows are intact, but losses "
+      "on the way are not known.");
 }
 
 /// Compares the account of an ended run with its checksums.
@@ -498,7 +499,7 @@ void Download::compare_account(const Run& run) {
     }
     if (!agrees)
       problems.emplace_back(run.run, std::string(table) + ": the checksum of its " + std::to_string(found.rows) +
-                                         " rows is another than when they were sent, or is not there: a row was "
+                                         " rows is not the same as when they were sent, or is not there: a row was "
                                          "changed, added or deleted.");
   };
   compare_sum("rtdata_position", position_columns, sum_of_positions(connection_, run.run));

@@ -1,8 +1,8 @@
 // The tables rtdata_* of a server: runs, topics, and how far each origin of each run has come.
 //
-//   rtdata_run       a row a run: its number here, its uuid, its machine, and what the recording says of it
+//   rtdata_run       a row per run: its number here, its uuid, its machine, and its data from the recording
 //   rtdata_topic     which table holds which topic, with its description
-//   rtdata_position  a row a run, topic and origin: what the server has of it, changed in the transaction that adds
+//   rtdata_position  a row per run, topic and origin: what the server has of it, changed in the transaction that adds
 //   rows
 //
 // The tables of the account (rtdata_ledger, rtdata_gap ...) are made with the first account: account_copy.hpp.
@@ -35,10 +35,10 @@ void in_transaction(Connection& connection, Work&& work) {
 
 /// Adds the run if it is missing.
 void add_run(Connection& connection, const std::string& uuid, const std::string& machine);
-/// Of a run; 0: it is not there.
+/// The number of a run; 0: it is not there.
 std::int64_t number_of_run(Connection& connection, const std::string& uuid);
 
-/// What rtdata_position has of an origin.
+/// The row of rtdata_position of an origin.
 struct Position {
   bool is_there = false;
   std::uint64_t first = 0, last = 0, rows = 0, sum = 0;

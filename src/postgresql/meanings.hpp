@@ -12,7 +12,7 @@ struct Meaning {
   const char* advice;
 };
 
-/// Of an SQLSTATE.
+/// The meaning of an SQLSTATE.
 Meaning meaning_of(std::string_view state) noexcept;
 /// For an error caused by the content of a row in a COPY (a CHECK, a trigger, a unique index): the other rows can be
 /// stored.

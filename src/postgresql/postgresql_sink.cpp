@@ -28,7 +28,7 @@ void check_config(const PostgresqlConfig& config, const ConfigItem& item, Proble
   };
   if (config.schema.starts_with("pg_"))
     problems.add((item.find("schema") != nullptr ? *item.find("schema") : item)
-                     .problem("bad-value", "names that begin with pg_ are the server's own; choose another"));
+                     .problem("bad-value", "names that begin with pg_ are reserved for the server; choose another"));
   try {
     if (!postgresql::password_in(config.url).empty())
       tell(

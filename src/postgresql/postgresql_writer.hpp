@@ -45,14 +45,15 @@ class PostgresqlWriter final : public Writer {
   /// to find it.
   void narrow(const Error& why);
   void begin_transaction();
-  /// What `store` has left out.
+  /// Refuses the rows that `store` skipped.
   void refuse_rows(Batch& batch);
   void prepare(Slot& slot, const SlotInfo& info);
   std::int64_t run_of(const std::string& uuid);
   /// All that was appended, in one transaction.
   void send();
   std::string positions_sql() const;
-  /// In the handler of what a call threw: rolls back, and returns it. No memory goes on to the sink.
+  /// In the handler of an exception from a call: rolls back, and returns the error. std::bad_alloc is passed on to the
+  /// sink.
   Result<void> failed();
   /// After a failure: the server's positions must be read again.
   void forget() noexcept;

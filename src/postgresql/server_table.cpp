@@ -23,12 +23,11 @@ constexpr std::size_t longest_name = 63;   // NAMEDATALEN - 1
 struct FixedColumn {
   const char *name, *type, *comment;
 };
-constexpr FixedColumn fixed[] = {
-    {"time", "timestamp with time zone", "UTC, of time_ns, to the microsecond"},
-    {"time_ns", "bigint", "ns since the epoch as recorded, on a line that never jumps within a run"},
-    {"run", "bigint", "rtdata_run.run"},
-    {"origin", "text", "the sensor or feed"},
-    {"sequence", "bigint", "of the origin in the run, from 1"}};
+constexpr FixedColumn fixed[] = {{"time", "timestamp with time zone", "time_ns in UTC, to the microsecond"},
+                                 {"time_ns", "bigint", "ns since the epoch as recorded, never jumps within a run"},
+                                 {"run", "bigint", "rtdata_run.run"},
+                                 {"origin", "text", "the sensor or feed"},
+                                 {"sequence", "bigint", "number of the event of this origin in the run, from 1"}};
 constexpr std::int64_t server_epoch_us = 946'684'800'000'000;  // 2000-01-01 in us since 1970
 
 template <class T>
@@ -124,7 +123,7 @@ std::string comment_of(const std::string& table, const Leaf& leaf) {
 
 std::string table_sql(const std::string& name, const SlotInfo& slot) {
   const std::string table = quoted_name(name);
-  // TimescaleDB wants its time in each unique index, and no reference to the table: create_hypertable(..., 'time').
+  // TimescaleDB needs the time in each unique index, and no reference to the table: create_hypertable(..., 'time').
   std::string sql = "CREATE TABLE " + table + "(";
   for (const FixedColumn& column : fixed) sql += quoted_name(column.name) + " " + column.type + " NOT NULL, ";
   for (const Leaf& leaf : slot.description->leaves()) sql += column_of(leaf) + ", ";
@@ -159,7 +158,7 @@ Found find_or_make(Connection& connection, const SlotInfo& slot, std::int64_t ru
     auto old = Description::from_json(known.text(row, 2));
     if (!old) continue;  // written by something else: left alone
     const std::string table(known.text(row, 1));
-    // Of several machines some have programs with fewer fields: theirs are the same table, too.
+    // Some of several machines may have programs with fewer fields: they use the same table.
     if (is_part_of(*slot.description, **old)) return {table, *old};
     if (!is_part_of(**old, *slot.description)) continue;
     std::string sql;
@@ -211,7 +210,7 @@ Result<void> check_columns(std::string_view topic, const Description& descriptio
   if (description.leaves().size() > most_fields) {
     return Error{Errc::bad_description, "cannot store", "topic " + std::string(topic),
                  "it has " + std::to_string(description.leaves().size()) + " values an event",
-                 "a table of the server has at most " + std::to_string(most_fields) + " columns of them: split it"};
+                 "a table of the server has at most " + std::to_string(most_fields) + " columns for values: split it"};
   }
   for (const Leaf& leaf : description.leaves()) {
     for (const char* name : {"time_ns", "tableoid", "xmin", "cmin", "xmax", "cmax", "ctid"}) {

@@ -25,7 +25,7 @@ struct Table {
 
 constexpr Table all_tables[] = {
     {"rtdata_gap", "run, topic, origin", "length(topic) + length(origin) + length(kind) + length(reason)",
-     // Gaps lie in one segment; what lies before the first one, of a read that was under way, is left alone.
+     // Gaps lie in one segment; a gap before the first segment, of a read that was under way, is not joined.
      "(SELECT CASE WHEN l.has_schedule THEN (SELECT max(s.first_due) FROM rtdata_schedule s WHERE s.run = t.run AND "
      "s.origin = t.origin AND s.topic = t.topic AND s.first_due <= t.first) ELSE 0 END FROM rtdata_ledger l WHERE "
      "l.run = t.run AND l.topic = t.topic AND l.origin = t.origin)",
@@ -57,7 +57,7 @@ struct Object {
   std::int64_t bytes = 0;
 };
 
-/// The bytes of all of a table's rows; `objects`: gets those that have rows to be joined.
+/// The bytes of all rows of a table; adds the objects with rows that can be joined to `objects`.
 std::int64_t look_at(Database& database, const Table& table, std::vector<Object>& objects) {
   const std::string query = std::string("SELECT max(_rowid_), count(*), sum(40 + ") + table.texts + ") FROM " +
                             table.name + " GROUP BY " + table.object;
@@ -71,7 +71,7 @@ std::int64_t look_at(Database& database, const Table& table, std::vector<Object>
   return all;
 }
 
-/// Joins the older half of an object's rows by twos. How many are less.
+/// Joins the older half of an object's rows in pairs. Returns by how many rows it becomes smaller.
 std::size_t join(Database& database, AccountSums& sums, const Object& object) {
   const Table& table = *object.table;
   std::vector<std::pair<std::int64_t, std::int64_t>> pairs;
@@ -95,7 +95,7 @@ std::size_t join(Database& database, AccountSums& sums, const Object& object) {
     while (rows.step()) {
       if (rows.is_null(1)) continue;
       const bool is_same = into.row != 0 && rows.integer(1) == into.stretch;
-      // What lies within the one before goes with it, so that those that are joined do not overlap.
+      // A gap within the one before is joined with it, so that joined gaps do not overlap.
       if (is_same && (!into.has_two || rows.integer(2) <= into.end)) {
         pairs.emplace_back(into.row, rows.integer(0));
         into.has_two = true;

@@ -10,7 +10,7 @@ int hashed_columns(sqlite3_stmt* rows) noexcept {
 }
 
 void AccountSums::run(Statement& statement, Rows rows) {
-  const struct Reset {  // also when there is no memory for a sum: what is not reset takes no values
+  const struct Reset {  // also without memory for a sum: a statement that is not reset refuses values
     ~Reset() { of.reset(); }
     Statement& of;
   } reset{statement};

@@ -13,14 +13,16 @@
 
 namespace rtdata::sqlite {
 
-/// The sum of rtdata_topic, which is of all runs, and of the columns of the tables that it names: in rtdata_checksum.
+/// The sum of rtdata_topic, which belongs to all runs, and of the columns of the tables that it names: in
+/// rtdata_checksum.
 inline constexpr std::int64_t all_runs = 0;
-/// The sum of the senders' rows, which belong to all runs. Whole rows of these tables come behind this number.
+/// The sum of the senders' rows, which belong to all runs. Statements for these tables return this number as the first
+/// column, then the whole row.
 inline constexpr std::int64_t of_senders = -1;
 inline constexpr std::array<std::string_view, 3> sender_tables = {"rtdata_refused", "rtdata_refused_before",
                                                                   "rtdata_unsent"};
 
-/// How many columns of these rows are hashed: all but the checksum of rtdata_run, its last.
+/// How many columns of these rows are hashed: all except the checksum of rtdata_run, its last column.
 int hashed_columns(sqlite3_stmt* rows) noexcept;
 
 /// Sums are updated with added and removed rows, so they stay wrong for rows changed by another program.

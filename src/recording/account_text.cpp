@@ -44,7 +44,7 @@ std::string loss_text(const TopicLoss& loss) {
     parts.push_back(counted(loss.ticks(), "tick") + " (" +
                     parts_of({{"missed", loss.missed}, {"failed", loss.failed}}) + ")");
   if (loss.outages.number != 0)
-    parts.push_back(to_string(loss.outages) + " (how many samples did not come is not known)");
+    parts.push_back(to_string(loss.outages) + " (the number of missing samples is not known)");
   std::string text;
   for (std::size_t i = 0; i < parts.size(); ++i)
     text += (i == 0 ? "" : i + 1 < parts.size() ? ", " : " and ") + parts[i];
@@ -66,8 +66,8 @@ std::vector<std::string> loss_lines(const std::vector<TopicLoss>& losses, const 
   if (not_known.size() > most)
     lines.push_back("NOT KNOWN: and " + std::to_string(not_known.size() - most) + " more (verify --json has them all)");
   if (!not_detectable.empty())
-    lines.push_back("not detectable: what the sources of " + first_names(not_detectable, most) +
-                    " lost before it came here: they do not number it");
+    lines.push_back("not detectable: losses in the sources of " + first_names(not_detectable, most) +
+                    ", which do not number their samples");
   return lines;
 }
 

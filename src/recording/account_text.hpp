@@ -11,10 +11,10 @@ namespace rtdata::detail {
 /// "12 samples of room/climate (lost by the source 10, dropped by the queue 2) and 3 ticks (missed 3)".
 std::string loss_text(const TopicLoss& loss);
 
-/// "nothing lost: 12 rows"; or "LOST: ..." of each topic, "NOT KNOWN: ...", "not detectable: ...". Of rows, losses and
-/// what follows them in the report.
+/// "nothing lost: 12 rows"; or "LOST: ..." for each topic, "NOT KNOWN: ...", "not detectable: ...". From rows, losses
+/// and what follows them in the report.
 std::vector<std::string> account_lines(const RunReport& run);
-/// All but the first.
+/// All lines except the first.
 std::vector<std::string> loss_lines(const std::vector<TopicLoss>& losses, const std::vector<std::string>& not_known,
                                     const std::vector<std::string>& not_detectable);
 

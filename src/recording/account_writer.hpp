@@ -27,9 +27,9 @@ class AccountWriter {
   void write(const Batch& batch, const Account& account, const TopicTables& tables);
   /// The rows of `write_slots` are committed; more of the batch may follow.
   void slots_committed() noexcept { known_slots_ = slots_in_transaction_; }
-  /// All of the batch is.
+  /// The whole batch is committed.
   void committed(const Batch& batch) noexcept;
-  /// Lets go of the database.
+  /// Releases the database.
   void close() noexcept;
 
  private:

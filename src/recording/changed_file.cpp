@@ -6,7 +6,8 @@
 namespace rtdata::sqlite {
 
 ChangedFile::ChangedFile(const std::string& path, const char* doing) : doing_(doing) {
-  (void)Recording::open(path).or_throw();  // reports what is no recording; opening to write would make one
+  (void)Recording::open(path)
+      .or_throw();  // reports a file that is not a recording; opening it for writing would make one
   check_path(path).or_throw();
   database_ = Database::open(path, Database::Mode::write);
   if (sqlite3_db_readonly(database_.raw(), "main") == 1)

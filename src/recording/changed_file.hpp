@@ -1,4 +1,4 @@
-// A recording that is changed after its runs, by another than its recorder.
+// Changes a recording after its runs, when its recorder has ended.
 #pragma once
 
 #include <string>
@@ -16,12 +16,12 @@ class ChangedFile {
   /// `Recording::open`.
   ChangedFile(const std::string& path, const char* doing);
   ChangedFile(const ChangedFile&) = delete;
-  /// Nothing stays beside it but a lock file that names one with the counts of a killed run.
+  /// Leaves no file beside the recording, except a lock file that names the counts of a killed run.
   ~ChangedFile();
 
   Database& database() noexcept { return database_; }
   RecordingLock& lock() noexcept { return lock_; }
-  /// Without symbolic links.
+  /// The path without symbolic links.
   const std::string& real_path() const noexcept { return real_path_; }
   /// Runs `work` in one transaction, which also writes the checksums of the account. Throws what `work` throws, and
   /// SetupError; then nothing is changed.
@@ -44,14 +44,14 @@ class ChangedFile {
       throw;
     }
   }
-  /// Gives free pages back, and moves the WAL file into the recording. The next writer does what fails.
+  /// Releases free pages, and moves the WAL file into the recording. If that fails, the next writer does it.
   void tidy() noexcept;
 
  private:
   void roll_back() noexcept;
 
   const char* const doing_;
-  RecordingLock lock_;  // given up last
+  RecordingLock lock_;  // released last
   Database database_;
   std::string real_path_;
 };

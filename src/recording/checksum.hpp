@@ -23,7 +23,7 @@ struct RowSum {
   bool operator==(const RowSum&) const = default;
 };
 
-/// The tables of the account in which each row is of a run; their first column.
+/// The tables of the account in which each row belongs to a run; their first column.
 inline constexpr std::array<std::string_view, 8> account_tables = {
     "rtdata_run",   "rtdata_schedule", "rtdata_ledger", "rtdata_gap",
     "rtdata_clock", "rtdata_error",    "rtdata_health", "rtdata_configuration"};
@@ -46,7 +46,7 @@ class RowHash {
   void blob(std::string_view value) { bytes(4, value); }
   void column(sqlite3_stmt* row, int column);
   std::uint64_t hash() const noexcept { return hash_of(size_); }
-  /// Without the NULLs at its end: they may be of columns that came later.
+  /// Without the NULLs at its end, which may belong to columns that were added later.
   std::uint64_t hash_of_values() const noexcept { return hash_of(values_); }
 
  private:

@@ -37,7 +37,7 @@ std::string cell(const std::string& text) {
   return in_quotes + '"';
 }
 
-/// The runs of the recording, by number, with their uuids; none when the rows are of one alone.
+/// The runs of the recording, by number, with their uuids; empty if all rows belong to one run.
 using NamedRuns = std::map<std::int64_t, std::string>;
 NamedRuns named_runs(const Recording& recording, const ExportConfig& config) {
   NamedRuns named;
@@ -101,7 +101,7 @@ void tell(const ExportConfig& config, std::uint64_t before, std::uint64_t rows, 
   if (config.on_progress) config.on_progress({before + rows, at});
 }
 
-/// Writes the rows through a codec. One that does not fit is left out. `topic`: the only one; null: all.
+/// Writes the rows through a codec, and skips rows that do not fit. `topic`: the only one; null: all.
 ExportCount write_rows(const Recording& recording, const ExportConfig& config, const NamedRuns& runs,
                        const RecordedTopic* topic, Codec& codec, std::ostream& out, const std::string& path,
                        std::uint64_t before = 0) {
@@ -275,7 +275,7 @@ Result<std::vector<ExportCount>> export_files(const Recording& recording, const 
     try {
       written = write_rows(recording, config, runs, &topic, *codec, file, path.string(), before);
     } catch (const SetupError&) {
-      // A file that could not be written whole; of a damaged recording it has what came before.
+      // The file is incomplete; for a damaged recording it has the rows before the damage.
       if (!file && std::filesystem::is_regular_file(path, failed)) std::filesystem::remove(path, failed);
       throw;
     }

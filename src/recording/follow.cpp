@@ -15,11 +15,11 @@ namespace {
 using detail::RecordingFile;
 using sqlite::Statement;
 
-// Rows of one table lie in the order in which they were published, which is nearly that of time.
+// Rows of one table are stored in the order of publishing, which is nearly that of time.
 constexpr Duration disorder = std::chrono::seconds{10};
 constexpr std::uint64_t rows_between_looks = 64;  // at the clock
 
-/// The rows of a table behind one, as they lie there.
+/// The rows of a table after a given one, in the order in which they are stored.
 class FollowCursor final : public detail::RowCursor {
  public:
   FollowCursor(const RecordingFile& file, const RecordedTopic& topic, Time from)

@@ -93,7 +93,7 @@ class LiveFile {
   /// is false, in the file too.
   Result<void> reserve(std::uint32_t slot);
   bool has(std::uint32_t slot) const noexcept { return block_of(slot) < most_blocks && blocks_[block_of(slot)].counts; }
-  /// Why there is no place for a slot.
+  /// The error of a slot without room.
   Error no_room() const;
   /// How many slots were reserved.
   std::uint32_t slots() const noexcept;
@@ -102,7 +102,7 @@ class LiveFile {
   void begin_counting() noexcept;
   /// As before `begin_counting`.
   void pause_counting() noexcept;
-  /// Some slots have found no place here.
+  /// True if the file had no room for some slots.
   bool lacks_room() const noexcept;
   /// True if the file has all counts of each slot, from the beginning on.
   bool is_complete() const noexcept;
@@ -111,7 +111,7 @@ class LiveFile {
   LiveCounts& counts(std::uint32_t slot) noexcept { return blocks_[block_of(slot)].counts[offset_of(slot)]; }
   LiveSlot& slot(std::uint32_t slot) noexcept { return blocks_[block_of(slot)].slots[offset_of(slot)]; }
 
-  /// Deletes the file, once its counts are in the recording. They stay readable until destruction.
+  /// Deletes the file. Call it when the counts are in the recording; they stay readable until destruction.
   void remove() noexcept;
 
  private:

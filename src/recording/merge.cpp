@@ -538,7 +538,7 @@ class Beside {
       return std::filesystem::equivalent(source, made_, ignored);
     });
     if (::lstat(made_.c_str(), &there) == 0 && (is_source || !is_left_by_merge(made_)))
-      refuse(made_, "it is there, and no merge that was killed has left it", "move it away");
+      refuse(made_, "it exists, and is not left over from a killed merge", "move it away");
     (void)Database::open(made_, Database::Mode::write);
     std::error_code failed;
     real_ = std::filesystem::canonical(made_, failed).string();
@@ -566,7 +566,7 @@ class Beside {
     const bool is_synced = fd >= 0 && ::fsync(fd) == 0;
     const int failed = errno;
     if (fd >= 0) ::close(fd);
-    if (!is_synced) throw SetupError(system_error(failed, merging, made_, "look at the disk"));
+    if (!is_synced) throw SetupError(system_error(failed, merging, made_, "check the disk"));
     if (::renameat2(AT_FDCWD, made_.c_str(), AT_FDCWD, path_.c_str(), RENAME_NOREPLACE) != 0) {
       struct stat there {};
       const int reason = errno;

@@ -42,10 +42,10 @@ struct Refusal {
 /// line each; all rows of matching tables without a position wait.
 inline constexpr const char* no_table = "";
 std::string lines_of(const std::vector<std::string>& topics);
-/// Whether a topic is one of those.
+/// True if a topic matches one of these.
 bool has_topic(std::string_view lines, std::string_view topic) noexcept;
 
-/// Of this machine.
+/// The host name of this computer.
 std::string host_name();
 
 inline constexpr const char* position_schema = R"sql(
@@ -75,7 +75,7 @@ struct SinkPosition {
   std::string sink;
   Position position;
 };
-/// Of all sinks that take the topic, as stored in the file.
+/// The positions of all sinks that take the topic, as stored in the file.
 std::vector<SinkPosition> sink_positions(Database& database, const std::string& topic, const std::string& table);
 
 /// In a transaction: adds to the count of events that were deleted before the sink's peer had them. `sums` gets the
@@ -99,7 +99,7 @@ class Positions {
   /// True if too many refusals wait to be written; the sink then reads no more rows.
   bool is_full() const;
 
-  /// What the recording's writer has committed.
+  /// The last commit of the recording's writer.
   struct Committed {
     std::string topic;
     std::int64_t last_row = 0;
@@ -113,7 +113,7 @@ class Positions {
   void at_end(std::function<std::string()> call);
 
   // ---- the recording's writer
-  /// The keys of refused rows take about so much at most: older ones are counted only. 0: no limit.
+  /// Limits the bytes of the keys of refused rows: older ones are only counted. 0: no limit.
   void limit_refusals(std::uint64_t bytes) noexcept { most_refused_bytes_ = static_cast<std::int64_t>(bytes); }
   void begin_run(std::int64_t run);
   void set_last_row(const std::string& table, const std::string& topic, std::int64_t row);
@@ -165,7 +165,7 @@ class Positions {
   struct Unsent {
     std::string topic;
     std::int64_t after = 0, up_to = 0;  // row numbers
-    std::int64_t settled = 0;           // of them, to be taken off again
+    std::int64_t settled = 0;           // of these rows, to be subtracted again
     bool is_new = false;                // not committed yet
   };
   struct GoingThrough {
@@ -188,7 +188,7 @@ class Positions {
   std::map<Key, std::int64_t> settled_in_transaction_;
   std::map<std::string, std::int64_t> unsent_in_transaction_;  // by sink; 0: all that was deleted was sent
   std::set<std::string> are_losing_;                           // sinks
-  std::string losing_;                                         // of which this has not been told
+  std::string losing_;                                         // sinks for which this was not reported yet
   std::int64_t run_ = 0;
   std::int64_t most_refused_bytes_ = 0;
   std::int64_t refused_bytes_ = -1;  // about, of those that are stored; -1: not known

@@ -14,7 +14,7 @@ namespace {
 
 constexpr std::int64_t most_rows = 10'000;     // in a step, of all tables together
 constexpr std::int64_t least_rows = 500;       // and of each
-constexpr std::int64_t steps_of_a_span = 128;  // the time that is recorded is deleted in steps of this part of it
+constexpr std::int64_t steps_of_a_span = 128;  // rows are deleted in steps of this part of the recorded time
 constexpr int most_shift = 8;
 constexpr std::int64_t least_pages = 16;  // freed in one transaction, if there are as many
 
@@ -227,7 +227,7 @@ void Pruner::make_room(Database& database, AccountSums& sums, Positions& positio
   auto begin = pages(database);
   Pages left = begin;
   if (used_before_ == 0) used_before_ = left.used();
-  // The log takes a tenth, and the rows of the transactions until the next call some more.
+  // Reserves 1/10 of the limit for the WAL file, and 1/20 for rows that are written before the next call.
   const auto of_limit = [&](std::uint64_t part) {
     return static_cast<std::int64_t>(max_bytes_ / part / static_cast<std::uint64_t>(left.bytes));
   };
@@ -240,7 +240,8 @@ void Pruner::make_room(Database& database, AccountSums& sums, Positions& positio
     find_tables(database, at);
     if (database.integer("SELECT EXISTS(SELECT 1 FROM rtdata_position)") != 0) on.positions = &positions;
   }
-  // About as much as came since, so that one transaction's log stays small: what is left follows.
+  // Deletes about as much as came since the last call, so that one transaction writes little to the WAL file; later
+  // transactions delete the rest.
   const std::int64_t enough = std::max({least_pages, 2 * (left.used() - used_before_), of_limit(40)});
   if (is_time) {
     const Limit limit{at - max_age_.count(), max_age_.count(), true};
@@ -248,7 +249,7 @@ void Pruner::make_room(Database& database, AccountSums& sums, Positions& positio
     has_more_ = deleted > 0 && std::any_of(tables_.begin(), tables_.end(),
                                            [&](const Table& table) { return is_beyond(table, limit); });
     if (!has_more_) delete_runs(database, at - max_age_.count(), 0, enough);
-    // Not for each row: that would write its page each time.
+    // Once for many rows: each write costs a page.
     if (!has_more_) next_look_ = at + max_age_.count() / 100;
   }
   if (is_too_large) {

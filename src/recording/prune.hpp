@@ -22,7 +22,7 @@ namespace rtdata::sqlite {
 class Pruner {
  public:
   Pruner() noexcept = default;
-  /// `max_bytes`, `max_age`: 0 is no limit.
+  /// `max_bytes`, `max_age`: 0 means no limit.
   Pruner(std::uint64_t max_bytes, Duration max_age);
 
   /// Sets the run that deletes rows from now on.
@@ -38,7 +38,7 @@ class Pruner {
   bool has_more() const noexcept { return has_more_; }
   /// True if all deletable rows are deleted and the file is still too large.
   bool is_exhausted() const noexcept { return is_exhausted_; }
-  /// What the transaction has deleted of each table.
+  /// The rows that the transaction has deleted, by table.
   struct Deleted {
     std::string topic;
     std::string table;
@@ -83,7 +83,7 @@ class Pruner {
     std::int64_t all = 0, free = 0, bytes = 1;  // bytes: of one
     std::int64_t used() const noexcept { return all - free; }
   };
-  /// What a transaction works on.
+  /// The objects that a transaction uses.
   struct Work {
     Database& database;
     AccountSums& sums;
@@ -91,11 +91,11 @@ class Pruner {
   };
   void find_lines(Database& database, std::int64_t now);
   Line line_of(std::int64_t run) const;
-  /// What to delete: rows before `time`, and all rows of an earlier run that are at least `age` old.
+  /// The rows to delete: those before `time`, and all rows of an earlier run that are at least `age` old.
   struct Limit {
     std::int64_t time;
     std::int64_t age = std::numeric_limits<std::int64_t>::max();
-    bool is_exact = false;  // a transaction that is not all beyond it stays
+    bool is_exact = false;  // a transaction that is only partly beyond it stays
   };
   bool is_beyond(std::int64_t time, std::int64_t run, const Limit& limit) const;
   bool is_beyond(const Table& table, const Limit& limit) const;
@@ -104,7 +104,7 @@ class Pruner {
   Pages pages(Database& database);
   /// `time`, or an earlier time if that is enough to reduce the pages to `goal`; the recording may have pauses.
   std::int64_t end_of_step(std::int64_t time, const Pages& now, std::int64_t goal);
-  /// Deletes some thousand rows of what is beyond the limit at most. The number of rows.
+  /// Deletes at most some thousand rows beyond the limit; returns how many.
   std::int64_t delete_beyond(const Work& on, const Limit& limit);
   /// Deletes the first rows of tables that begin in the future (a wrong clock), the same share as of the others' time
   /// span.

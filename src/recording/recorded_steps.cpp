@@ -1,5 +1,5 @@
 // Reduces a topic's rows to steps: count, minimum, maximum and mean of each number. Recorded steps of a second or a
-// minute are read instead of the rows where they add up to the steps that are asked for.
+// minute are read instead of the rows where they add up to the requested steps.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -42,7 +42,7 @@ class Names {
   std::set<std::string> taken_;
 };
 
-/// What a field becomes; null: nothing, since there is no number in it.
+/// The record that a field becomes; null: the field has no number.
 std::shared_ptr<const Description> steps_of(const Field& field);
 
 /// Adds what the fields become; returns whether there is any. `own`, where it is not empty, is a field of the row
@@ -93,7 +93,7 @@ std::shared_ptr<const Description> description_of_steps(const Description& of) {
   return builder.build().or_throw();
 }
 
-/// What SQL needs to know of the steps: a query gives it to `step_of`, by a pointer.
+/// The description of the steps for SQL: a query passes a pointer to it to `step_of`.
 struct Steps {
   static constexpr const char* pointer_type = "rtdata steps";
   std::int64_t step;
@@ -144,7 +144,7 @@ sqlite::Statement of_ledger(const RecordingFile& file, const RecordedTopic& topi
   return statement;
 }
 
-/// Whether there may be rows that are in no recorded step. They are the first of an origin, or all of it.
+/// True if there may be rows in no recorded step. They are the first rows of an origin, or all of them.
 bool has_others(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter,
                 const sqlite::StepLength& length) {
   const std::string from = "t." + std::string(length.from);
@@ -160,7 +160,7 @@ bool has_others(const RecordingFile& file, const RecordedTopic& topic, const Row
 
 class StepCursor final : public RowCursor {
  public:
-  /// Of what it is made.
+  /// The tables that the steps are read from.
   struct Source {
     const sqlite::StepLength* recorded = nullptr;  ///< null: rows alone
     bool has_others = false;                       ///< rows beside recorded steps
@@ -238,7 +238,7 @@ class StepCursor final : public RowCursor {
   static constexpr int columns_before = 6, least_column = 1, most_column = 2, sum_column = 3, odd_column = 4,
                        columns_each = 5;
 
-  /// One that is asked for, in the step at hand.
+  /// A requested number in the current step.
   struct Number {
     const Leaf* leaf;
     std::size_t place;  ///< of its count, among the leaves of steps
@@ -271,7 +271,7 @@ class StepCursor final : public RowCursor {
       number.low = is_first ? low : std::min(number.low, low);
       number.high = is_first ? high : std::max(number.high, high);
     }
-    // SQL has no NaN; a sum that is none makes the mean none.
+    // SQL has no NaN: a sum of NULL gives a mean of NULL.
     const double sum = row.is_null(column + sum_column) ? std::numeric_limits<double>::quiet_NaN()
                                                         : row.real(column + sum_column);
     number.sum = is_first ? sum : number.sum + sum;
@@ -301,7 +301,7 @@ class StepCursor final : public RowCursor {
     }
     recorded += " FROM " + sqlite::quoted(sqlite::step_table(topic_.table, *source.recorded)) + " t WHERE " +
                 row_conditions(selection_);
-    // Those of one origin lie in the order of their times.
+    // Rows of one origin are stored in time order.
     if (!source.has_others)
       return recorded + (selection_.filter.origin ? " ORDER BY t.run, t.time" : " ORDER BY 1, 2, 3");
     return recorded + " UNION ALL " + rows + " FROM " + sqlite::quoted(topic_.table) + " t WHERE " +
@@ -326,13 +326,13 @@ class StepCursor final : public RowCursor {
       if (leaf_.kind == Kind::u64) return signed_or(column_, " + 18446744073709551616.0", "");
       return is_float(leaf_.kind) && leaf_.optional != nullptr ? "nullif(" + column_ + ", 'NaN')" : column_;
     }
-    /// What the least and the largest are found by.
+    /// The SQL expression by which the least and the largest are found.
     std::string ordered() const { return leaf_.kind == Kind::u64 ? in_order(column_) : number(); }
     std::string in_order(const std::string& of) const {
       if (leaf_.kind != Kind::u64) return of;
       return signed_or(of, " + 9223372036854775807 + 1", " - 9223372036854775807 - 1");  // `turned`
     }
-    /// Whether it is no number, where the largest does not tell.
+    /// SQL: true if it is not a number, where the largest value does not show that.
     std::string odd() const {
       return is_float(leaf_.kind) ? "0" : "typeof(" + column_ + ") NOT IN ('integer', 'null')";
     }
@@ -345,7 +345,7 @@ class StepCursor final : public RowCursor {
     const std::string column_;
   };
 
-  /// How many values of a field there are, the least, the largest, the sum, and whether one is none.
+  /// SQL for a field: number of values, least, largest, sum, and if one is not a number.
   static std::string columns(const Leaf& leaf) {
     const OfLeaf of(leaf);
     return ", count(" + of.number() + "), min(" + of.ordered() + "), max(" + of.ordered() + "), total(" + of.number() +
@@ -360,7 +360,7 @@ class StepCursor final : public RowCursor {
     if (topic != 0) statement.bind(topic, std::string_view(topic_.topic));
   }
 
-  /// The rows of the step at hand, once more.
+  /// Reads the rows of the current step again.
   sqlite::Statement of_step(const std::string& what, const std::string& condition) {
     auto statement = file_->prepare("SELECT " + what + " FROM " + sqlite::quoted(topic_.table) + " t WHERE " +
                                     row_conditions(selection_) + " AND t.run = :of_run AND " + step_sql() +
@@ -372,12 +372,12 @@ class StepCursor final : public RowCursor {
     return statement;
   }
 
-  /// Near the largest numbers a sum is none any more, where the mean is.
+  /// Near the largest numbers a sum overflows, but the mean does not.
   double mean_of(const Number& of) {
     const double found = of.sum / static_cast<double>(of.count);
     const bool are_finite = std::isfinite(of.least) && std::isfinite(of.most);
     if (std::isfinite(found) || !are_finite) return found;
-    // Of values so small that the sum of as many as a step can have is a number.
+    // The values are scaled down, so that the sum of as many as a step can have does not overflow.
     auto scaled = of_step("avg(nullif(t." + sqlite::quoted(of.leaf->path) + ", 'NaN') / 18446744073709551616.0)", "1");
     scaled.step();
     return scaled.real(0) * 0x1p64;

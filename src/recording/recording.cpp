@@ -128,7 +128,8 @@ Database open_file(const std::string& path) {
   auto version = opened.integer("PRAGMA user_version");
   if (version < 1)
     throw SetupError({Errc::damaged, doing, path,
-                      "its format is version " + std::to_string(version) + ": there is none", "keep it as it is"});
+                      "its format is version " + std::to_string(version) + ", which does not exist",
+                      "keep it as it is"});
   if (version > sqlite::schema_version) {
     throw SetupError({Errc::newer_version, doing, path,
                       "its format is version " + std::to_string(version) + ", this program knows up to " +
@@ -298,7 +299,7 @@ Result<std::vector<RecordedClock>> Recording::clock(std::int64_t run) const try 
 
 namespace {
 
-/// None: there is no such run.
+/// Empty: there is no such run.
 std::optional<UtcLine> find_utc_line(const RecordingFile& file, std::int64_t run) {
   auto info = file.prepare("SELECT boot_id, clock_offset FROM rtdata_run WHERE run = ?");
   info.bind(1, run);

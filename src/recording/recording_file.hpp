@@ -52,7 +52,7 @@ struct Selection {
 std::string conditions(const Selection& selection, const char* from_column, const char* until_column);
 /// The same of the rows of a topic's table.
 std::string row_conditions(const Selection& selection);
-/// Binds what stands in them.
+/// Binds the parameters of these conditions.
 void bind_conditions(sqlite::Statement& statement, const Selection& selection);
 /// A statement that gives the rows of a topic's table, run by run, each in order of time. `columns`: SQL of those after
 /// the fixed ones, as `RowReader::columns` has it.
@@ -60,7 +60,7 @@ sqlite::Statement rows_in_order(const RecordingFile& file, const RecordedTopic& 
                                 const std::string& columns);
 /// The UTC conversion of a recorded run's boot; none for an unlisted run, whose times do not change.
 UtcLine utc_line_of(const RecordingFile& file, std::int64_t run);
-/// An error with the row that it is of.
+/// An error with the place of its row.
 Error at_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::string_view origin,
              std::uint64_t sequence, Error error);
 

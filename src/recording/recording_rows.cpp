@@ -75,10 +75,10 @@ std::string row_conditions(const Selection& selection) {
 
 namespace {
 
-/// Whether the rows of each run are of one origin, which publishes in order of time.
+/// True if the rows of each run have one origin, which publishes in time order.
 bool has_one_origin(const RecordingFile& file, const RecordedTopic& topic, const RowFilter& filter) {
   if (filter.origin) return true;
-  // A run that goes on, or was killed, may have origins that no account has yet.
+  // A running or killed run may have origins that no account has yet.
   auto statement = file.prepare(
       "SELECT EXISTS(SELECT 1 FROM rtdata_run r WHERE r.state = 'recording' AND ifnull(r.run = :run, 1))"
       " OR EXISTS(SELECT 1 FROM rtdata_ledger t WHERE t.topic = :topic AND ifnull(t.run = :run, 1)"
@@ -89,8 +89,8 @@ bool has_one_origin(const RecordingFile& file, const RecordedTopic& topic, const
   return statement.integer(0) == 0;
 }
 
-/// Whether all rows are in order. They are written in the order in which they were published. That is the order of time
-/// unless several origins share the table and one of them measures long.
+/// True if all rows are in time order. They are written in the order of publishing, which differs from time order only
+/// if several origins share the table and one of them measures for long.
 bool has_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection) {
   auto statement = file.prepare("SELECT t.run, t.time FROM " + sqlite::quoted(topic.table) + " t WHERE " +
                                 row_conditions(selection) + " ORDER BY t._rowid_");
@@ -109,9 +109,9 @@ bool has_order(const RecordingFile& file, const RecordedTopic& topic, const Sele
 
 sqlite::Statement rows_in_order(const RecordingFile& file, const RecordedTopic& topic, const Selection& selection,
                                 const std::string& columns) {
-  // Else SQLite has to sort them, which takes longer.
+  // Otherwise SQLite must sort them, which takes longer.
   const bool in_order = has_one_origin(file, topic, selection.filter) || has_order(file, topic, selection);
-  // SQLite would take the run out of each row for `WHERE`, and once more to give it.
+  // SQLite would read the run of each row for `WHERE`, and again for the result.
   const char* const run = selection.filter.run ? ":run" : "t.run";
   auto statement = file.prepare("SELECT " + std::string(run) + ", t.time, t.origin, t.sequence" + columns + " FROM " +
                                 sqlite::quoted(topic.table) + " t WHERE " + row_conditions(selection) +
@@ -123,7 +123,7 @@ sqlite::Statement rows_in_order(const RecordingFile& file, const RecordedTopic& 
 Error behind_row(const RecordingFile& file, const RecordedTopic& topic, std::int64_t run, std::uint64_t sequence,
                  Error error) {
   error.where = file.database.path() + ", topic " + topic.topic;
-  if (sequence > 0) error.where += ", behind run " + std::to_string(run) + ", sequence " + std::to_string(sequence);
+  if (sequence > 0) error.where += ", after run " + std::to_string(run) + ", sequence " + std::to_string(sequence);
   return error;
 }
 

@@ -93,7 +93,7 @@ bool ReplayNode::give_due(MonotonicTime now) {
         wait_until(at);
         return true;
       }
-      // Those of one topic together: deliveries of several would go on side by side, and not in their order.
+      // Only events of one topic together: deliveries of several topics would overlap, out of order.
       const OriginCore* const core = origins_[entry.origin].core;
       const bool is_of_other = topic != nullptr && core != nullptr && &core->topic != topic && entry.time != last_time;
       if (given == most_at_once || is_of_other) {
@@ -110,7 +110,7 @@ bool ReplayNode::give_due(MonotonicTime now) {
     }
     if (job.portion.is_last) {
       if (given != 0) {
-        wait_until(later(now, Duration{1}));  // what was given last is delivered before the end is told
+        wait_until(later(now, Duration{1}));  // the last events are delivered before the end is reported
         return true;
       }
       finish(job.portion.error ? Result<void>(*job.portion.error) : Result<void>());
@@ -168,7 +168,7 @@ void ReplayNode::give_event(Origin& origin, const ReplayPortion::Entry& entry) {
     return refuse("origin " + core.name + ", sequence " + std::to_string(entry.sequence) + ", " + to_iso8601(time) +
                   ": it is not after the event before it");
   }
-  // What the recording dropped. Before its first event only an account tells what there was.
+  // The events that the recording dropped. Before its first event only the account counts them.
   const std::uint64_t expected = core.sequence != 0 ? core.sequence + 1
                                  : origin.ledger && origin.ledger->first_sequence != 0
                                      ? std::min(origin.ledger->first_sequence, entry.sequence)

@@ -86,7 +86,7 @@ std::vector<RecordedTopic> chosen_topics(const Recording& recording, const Repla
   for (RecordedTopic& topic : all) {
     const bool is_wanted = std::any_of(config.topics.begin(), config.topics.end(),
                                        [&](const std::string& pattern) { return topic_matches(pattern, topic.topic); });
-    // Of one whose fields changed between runs, those of this run.
+    // If the fields of a topic changed between runs: those of this run.
     auto rows = recording.file()->prepare("SELECT EXISTS(SELECT 1 FROM " + sqlite::quoted(topic.table) +
                                           " t WHERE t.run = " + std::to_string(run) + ")");
     if (!is_wanted || !rows.step() || rows.integer(0) == 0) continue;
@@ -99,7 +99,7 @@ std::vector<RecordedTopic> chosen_topics(const Recording& recording, const Repla
   }
   if (!chosen.empty()) return chosen;
   throw SetupError({Errc::not_found, "cannot replay", config.file + ", run " + std::to_string(run),
-                    "it has no events on the topics that are asked for",
+                    "it has no events on the chosen topics",
                     names.empty() ? "it has no topics" : "its topics are " + names});
 }
 

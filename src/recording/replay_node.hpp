@@ -79,9 +79,9 @@ class ReplayNode final : public SensorEntry, public Deadline {
   void refuse(const std::string& why);
   void wait_until(MonotonicTime at) noexcept;
   void read_next();
-  /// All was given.
+  /// True if all events were published.
   void finish(const Result<void>& how);
-  /// Nothing more is given.
+  /// Stops publishing.
   void halt() noexcept;
   /// Checks at the end of a whole run that all events of its accounts were published.
   Result<void> look_whether_all_came() const;

@@ -19,7 +19,7 @@ constexpr Duration no_limit = std::chrono::hours{24 * 365};
 ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config)
     : SensorEntry(loop), config_(std::move(config)), callback_name_("replay " + config_.name) {
   if (!(config_.speed >= 1e-6 && config_.speed <= 1e6))
-    throw SetupError(replay_refused("speed", "it is not from 0.000001 to 1000000", "1 is as it was recorded"));
+    throw SetupError(replay_refused("speed", "it is not from 0.000001 to 1000000", "use 1 for the recorded speed"));
   for (const std::string& text : config_.rename) renamings_.push_back(renaming_of(text).or_throw());
   RowFilter filter;
   filter.gaps = RowFilter::Gaps::in_place;
@@ -100,7 +100,7 @@ void ReplayNode::choose_topics(const Recording& recording) {
 }
 
 void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std::vector<ReplayOrigin>& known) {
-  // Rows are selected by one pattern; of several, all are read and the others left out.
+  // Rows are selected by one pattern. With several patterns all rows are read, and the others skipped.
   filter.topic = topics_.size() == 1          ? topics_.front().recorded.topic
                  : config_.topics.size() == 1 ? config_.topics.front()
                                               : "#";
@@ -126,11 +126,12 @@ void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std
     known.push_back(std::move(origin));
   }
   if (has_all) return;
-  loop()->runtime.log(LogLevel::info, "replay " + config_.name,
-                      std::string(!is_aligned_                     ? "the loop's time is not that of the run"
-                                  : run_.state == RunState::closed ? "it is not replayed as a whole"
-                                                                   : "the run was not closed") +
-                          ": a new recording of it has no schedule, and its gaps are silent ones");
+  loop()->runtime.log(
+      LogLevel::info, "replay " + config_.name,
+      std::string(!is_aligned_                     ? "the loop's time is not that of the run"
+                  : run_.state == RunState::closed ? "it is not replayed as a whole"
+                                                   : "the run was not closed") +
+          ": if you record this replay, the new recording has no schedule, and its gaps have the kind `silent`");
 }
 
 void ReplayNode::find_sources(const Recording& recording, const std::vector<LedgerEntry>& ledger,

@@ -120,7 +120,7 @@ bool ReplaySource::is_chosen(std::string_view topic) const {
   return std::any_of(topics_.begin(), topics_.end(), [&](const auto& known) { return known.first == topic; });
 }
 
-/// Of version 0: any.
+/// Version 0: any version.
 std::optional<std::size_t> ReplaySource::place_of(const RecordedTopic& topic) const {
   const auto found = std::find_if(topics_.begin(), topics_.end(), [&](const auto& known) {
     return known.first == topic.topic && (topic.version == 0 || known.second == topic.version);

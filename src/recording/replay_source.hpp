@@ -38,7 +38,7 @@ struct ReplayPortion {
   std::vector<Entry> entries;
   std::vector<std::byte> payloads;
   std::vector<Gap> gaps;
-  std::vector<ReplayOrigin> new_origins;  // that follow those known so far
+  std::vector<ReplayOrigin> new_origins;  // added after those that are known
   bool is_last = false;
   std::optional<Error> error;  // instead of what would follow
 

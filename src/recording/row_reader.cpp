@@ -15,7 +15,7 @@ std::string_view text_of(sqlite3_value* stored) {
                           : std::string_view{bytes, static_cast<std::size_t>(sqlite3_value_bytes(stored))};
 }
 
-/// What is stored, in words.
+/// The stored value as text for messages.
 std::string found(sqlite3_value* stored) {
   switch (sqlite3_value_type(stored)) {
     case SQLITE_INTEGER:
@@ -114,7 +114,7 @@ void read_any(sqlite3_value* stored, const Leaf& leaf, std::byte* payload) {
   Value value;
   if (!convert(stored, leaf, value)) {
     throw SetupError({Errc::damaged, "cannot read a row", "field " + leaf.path,
-                      "it holds " + found(stored) + ", which is no " + std::string(name_of(leaf.kind)), ""});
+                      "it holds " + found(stored) + ", which is not of type " + std::string(name_of(leaf.kind)), ""});
   }
   if (auto done = write(leaf, payload, value); !done) {
     Error error = std::move(done).error();

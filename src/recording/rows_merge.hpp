@@ -17,13 +17,13 @@ struct RowCursor {
   virtual ~RowCursor() = default;
   /// Goes to the next row, whose run and time are then set. False: there is none.
   virtual bool advance() = 0;
-  /// Makes `row` what is at hand.
+  /// Fills `row` with the current row.
   void put(RecordedRow& row) {
     row.run_ = run;
     row.header_.time = from_nanoseconds(time);
     give(row);
   }
-  /// The same, of which run and time are set.
+  /// The same; run and time are set already.
   virtual void give(RecordedRow& row) = 0;
   virtual bool is_gap() const noexcept { return false; }
 
@@ -41,7 +41,7 @@ struct RowCursor {
     if (row.payload_.size() != topic.description->size()) row.payload_.resize(topic.description->size());
     return row.payload_.data();
   }
-  /// Of a step.
+  /// Sets the sequences of a step.
   static void set_sequences(RecordedRow& row, std::uint64_t first, std::uint64_t last) {
     row.first_sequence_ = first;
     row.last_sequence_ = last;
@@ -69,7 +69,7 @@ struct RowsMerge {
   std::uint64_t limit;
   std::vector<std::unique_ptr<RowCursor>> cursors;
   std::vector<RowCursor*> heap;
-  RowCursor* last = nullptr;  // gave the row that is out; goes on at the next call
+  RowCursor* last = nullptr;  // gave the current row; advances at the next call
   std::uint64_t given = 0;
   RecordedRow row;
 

@@ -159,7 +159,7 @@ class Deletion {
     }
     if (!rows_.empty()) differs = rows_.begin()->first.first;
     if (!differs.empty())
-      refuse("it does not balance: its account has another number of rows of " + differs + " than there are",
+      refuse("it does not balance: the number of rows of " + differs + " differs from its account",
              "see `rtdata verify`; keep the file as it is, and record into another one");
   }
 

@@ -2,24 +2,24 @@
 // line that never jumps, except those of rtdata_clock and rtdata_utc. The views "TABLE~utc" and rtdata_run_utc have UTC
 // too.
 //
-// One table a topic, named as the topic (rtdata_topic maps the exceptions), columns:
-//   run, time, origin, sequence, "checksum~", then one column a leaf of the description, named by its path
+// One table per topic, named as the topic (rtdata_topic maps the exceptions), columns:
+//   run, time, origin, sequence, "checksum~", then one column per leaf of the description, named by its path
 //   ("position.x", "accel[0]").
-// "checksum~" is NULL but in the last row of each transaction: there it is the sum of the hashes of the rows that the
-// transaction stored in this table.
+// "checksum~" is NULL, except in the last row of each transaction: there it is the sum of the hashes of the rows that
+// the transaction stored in this table.
 // A row's key is (run, origin, sequence). Values: bool 0/1; integers INTEGER (uint64 bit for bit as int64); float and
 // double REAL, NaN as NULL where the field is not optional and as the text 'NaN' where it is; text TEXT, or a BLOB
-// where it is no UTF-8 or has zero bytes; char TEXT of one character (INTEGER where it is no printable ASCII);
+// if it is not UTF-8 or has zero bytes; char TEXT of one character (INTEGER if it is not printable ASCII);
 // enum TEXT by name, INTEGER where the number has no name; absent NULL.
 //
-// Beside it, once it has steps (step.hpp), the tables "TABLE~1s" and "TABLE~1min" (`step_table`; `tables_of_topic`
+// In addition, once it has steps (step.hpp), the tables "TABLE~1s" and "TABLE~1min" (`step_table`; `tables_of_topic`
 // gives all), columns:
 //   run, time (of the step's beginning), origin, events, first_sequence, last_sequence, "checksum~", then of each field
 //   that is a number "PATH.count", "PATH.min", "PATH.max", "PATH.sum", "PATH.last", in the order of the topic's table.
-// Key: (run, origin, time). A row of them is that of the rows of the origin from first_sequence to last_sequence that
-// are stored, all of one second or minute; the ledger says from which sequence on all rows of an origin have one. NaN
-// is not counted; all five are NULL without a number; the sum is a double, NULL where infinities of both signs are in
-// it. "checksum~" is the hash of its own row, without run and checksum.
+// Key: (run, origin, time). Such a row summarises the stored rows of the origin from first_sequence to
+// last_sequence, all of one second or minute; the ledger says from which sequence on all rows of an origin have one.
+// NaN is not counted; all five are NULL without a number; the sum is a double, NULL where infinities of both signs are
+// in it. "checksum~" is the hash of its own row, without run and checksum.
 #pragma once
 
 namespace rtdata::sqlite {
@@ -33,7 +33,7 @@ inline constexpr const char* checksum_column = "checksum~";
 /// Columns of a topic's table before those of its fields: run, time, origin, sequence and the checksum.
 inline constexpr int columns_before_fields = 5;
 
-/// Of what was recorded before version 0.1.0.
+/// The id of recordings from before version 0.1.0, and the messages about them.
 inline constexpr int application_id_before = 0x52544441;
 inline constexpr const char* written_before = "it is a recording of a version before 0.1.0, which had another format";
 inline constexpr const char* advice_before = "export it with the rtdata that recorded it, or record into another file";

@@ -24,8 +24,8 @@ std::vector<std::string> tables_of(Database& database, const std::string& topic)
   return query.bind(1, topic).texts();
 }
 
-/// The last row of a data table that is of an earlier run than this; 0: there is none. Found by halving, since runs
-/// follow each other: sealing need not look at rows of others.
+/// The last row of a data table that belongs to an earlier run; 0: there is none. Found by bisection, because runs
+/// follow each other, so sealing does not read the rows of other runs.
 std::int64_t rows_before(const Database& database, const std::string& table, std::int64_t run) {
   auto last = database.integer("SELECT max(_rowid_) FROM " + quoted(table));
   auto next = database.prepare("SELECT _rowid_, run FROM " + quoted(table) +
@@ -47,7 +47,7 @@ std::int64_t rows_before(const Database& database, const std::string& table, std
 struct LedgerRow {
   std::string origin;
   std::int64_t slot, offered, stored, dropped, first_sequence, last_sequence, rows_up_to, pruned;
-  std::int64_t added = 0;  // rows that came after it was written
+  std::int64_t added = 0;  // rows stored after the account was written
   std::int64_t there = 0;  // rows, if some were pruned
 };
 
@@ -74,7 +74,7 @@ void add_later_rows(Database& database, const std::string& table, std::int64_t r
     by_origin[row.origin] = &row;
     above = std::min(above, row.rows_up_to);
   }
-  auto before = rows_before(database, table, run);  // of an origin without an account, `above` is of no run
+  auto before = rows_before(database, table, run);  // for an origin without an account, `above` belongs to no run
   above = std::max(above, before);
   auto query = database.prepare("SELECT _rowid_, origin, sequence, time FROM " + quoted(table) +
                                 " WHERE _rowid_ > ? AND run = ?");
@@ -124,7 +124,7 @@ void seal_topic(Database& database, const OpenRun& run, const std::string& topic
   auto tables = tables_of(database, topic);
   for (const std::string& table : tables) add_later_rows(database, table, run.run, rows, last_time);
   add_pruned_rows(database, tables, run.run, rows);
-  // Its account may be older than its rows, or not there yet: what it publishes at least is what was offered.
+  // Its account may be older than its rows, or missing: it published at least what was offered.
   auto update = database.prepare(
       "UPDATE rtdata_ledger SET offered = ?1, stored = ?2, published = max(published, ?1), "
       "received = max(received, ?1 + repeated + filtered + unreadable), "

@@ -22,7 +22,7 @@ struct Account {
 std::int64_t signed_of(std::uint64_t count) { return static_cast<std::int64_t>(count); }
 std::uint64_t count_of(const Statement& row, int column) { return static_cast<std::uint64_t>(row.integer(column)); }
 
-/// The recording's own account, with what it says of the segment that is under way in `kept`.
+/// The recording's own account, with its data on the current segment in `kept`.
 Account last_account(Database& database, const KilledOrigin& killed, const LiveAccount& kept) {
   Account account;
   SensorCounts& s = account.counts;
@@ -117,7 +117,7 @@ std::int64_t ticks_in(Database& database, const KilledOrigin& killed, const Live
   return query.integer(0);
 }
 
-/// What all gaps of the origin have.
+/// The total ticks of all gaps of the origin.
 struct GapTicks {
   std::uint64_t missed = 0, failed = 0, joined = 0;
   std::int64_t last = 0;
@@ -145,7 +145,7 @@ void add_gaps(Account& account, const GapTicks& gaps, bool has_events) {
   if (all > s.missed + s.failed) {
     std::uint64_t ticks = all - s.missed - s.failed;
     s.missed = std::max(s.missed, gaps.missed);
-    const std::uint64_t failed = all - s.missed;  // of what was joined the kind is not known
+    const std::uint64_t failed = all - s.missed;  // the kind of joined gaps is not known
     if (failed > s.failed && !has_events && s.in_flight != 0) {
       --s.in_flight;  // reads of an origin follow each other: it was the first to fail
       --ticks;
@@ -166,7 +166,7 @@ void add_gaps(Account& account, const GapTicks& gaps, bool has_events) {
   segment.scheduled += silent;
 }
 
-/// Adds a gap, or what has grown of one that is there: the row with the same beginning.
+/// Adds a gap, or updates the row of a gap that has grown: the one with the same beginning.
 void put_gap(Database& database, const KilledOrigin& killed, const LiveGap& gap) {
   const std::string reason(gap.reason);
   const auto run = [&](std::string_view sql) {
@@ -224,7 +224,7 @@ void seal_account(Database& database, const KilledOrigin& killed, const LiveAcco
     if (closed.is_there && lacking != signed_of(closed.count)) {
       closed.kind = Gap::Kind::joined;
       closed.count = static_cast<std::uint64_t>(lacking);
-      // Gaps before it had been stored, and went with the disk: it begins after what is left.
+      // Earlier gaps had been stored, and were lost with the disk: it begins after the remaining ones.
       const std::int64_t period = segment.period.count();
       const std::int64_t after = known.is_any ? known.last + period : 0;
       if (period > 0 && lacking > (closed.last - closed.first) / period + 1)

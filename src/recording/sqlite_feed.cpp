@@ -40,8 +40,8 @@ void SqliteFeed::look_at_beginning() {
   if (!row) return;
   topics_before_ = known.text(1);
   if (known.text(0) != host_name()) {
-    remarks_.push_back("goes on where the machine " + std::string(known.text(0)) +
-                       " has got to in this recording; if that machine still sends it, events arrive twice");
+    remarks_.push_back("continues from the position of computer " + std::string(known.text(0)) +
+                       " in this recording; if that computer also still sends it, events arrive twice");
     positions_->set(config_.sink, no_table, {0, 0, lines_of(config_.topics), 0});  // from now on it is this machine's
   }
 }
@@ -175,7 +175,7 @@ Position SqliteFeed::position_in(const Table& table) {
     const bool is_new = is_new_ || (!topics_before_.empty() && !has_topic(topics_before_, table.topic.topic));
     if (is_new) position = config_.from == From::beginning ? beginning_of(table) : end_of(table);
   }
-  positions_->set(config_.sink, table.topic.table, position);  // so that the file says that it is to be sent
+  positions_->set(config_.sink, table.topic.table, position);  // so that the file shows that these rows must be sent
   return position;
 }
 
@@ -197,7 +197,7 @@ Position SqliteFeed::position_now(const Table& table, Position position) {
   const std::string of = "topic " + table.topic.topic + ": ";
   if (elsewhere != 0) {
     remarks_.push_back(of +
-                       "the rows of the recording have other numbers than before; goes on after the event that "
+                       "the rows of the recording were renumbered; continues after the event that "
                        "was sent last");
     position.row = elsewhere;
     return position;
@@ -209,7 +209,7 @@ Position SqliteFeed::position_now(const Table& table, Position position) {
                                                         std::to_string(position.sequence) + ", is not there; ";
   remarks_.push_back(
       of + last +
-      "the rows of the recording have other numbers than before, or it is an older copy: all of its events are sent");
+      "the rows of the recording were renumbered, or it is an older copy: all of its events are sent again");
   return beginning_of(table);
 }
 
@@ -386,7 +386,7 @@ void SqliteFeed::note_committed() {
     const auto known = std::find_if(tables_.begin(), tables_.end(),
                                     [&name = name](const Table& table) { return table.topic.table == name; });
     if (known != tables_.end()) {
-      // Only what is new: numbers of before may be those before VACUUM.
+      // Only new data: earlier row numbers may be from before a VACUUM.
       const Positions::Committed seen = std::exchange(known->seen, committed);
       if (committed.last_row != seen.last_row) known->last_row = std::max(known->last_row, committed.last_row);
       if (committed.deleted_to != seen.deleted_to) count_deleted(*known, committed.deleted_to);

@@ -40,15 +40,15 @@ class SqliteFeed final : public detail::RowFeed {
   struct Table {
     RecordedTopic topic;
     std::optional<detail::RowReader> reader;
-    Statement next;         // rows after one, so many at most
+    Statement next;         // rows after a given one, with a limit
     Statement ends;         // the numbers of the first row and of the last
     Position done;          // with all up to this one
     std::int64_t read = 0;  // the last row that was put into the queue, or left out
     Position left_out;      // the last row that could not be read
     std::int64_t begin = 0;
     std::int64_t last_row = 0;
-    std::int64_t deleted_to = 0;  // rows up to this one are gone, and were counted unless they were in the queue
-    Positions::Committed seen;    // what the recording's writer said last
+    std::int64_t deleted_to = 0;  // rows up to this one were deleted, and counted unless they were in the queue
+    Positions::Committed seen;    // the last commit seen
     std::uint32_t topic_number = 0;
     std::map<std::pair<std::int64_t, std::string>, std::uint32_t> slots;  // by run and origin
     std::int64_t run_of_slot = -1;                                        // of the last row, with the next two
@@ -97,7 +97,7 @@ class SqliteFeed final : public detail::RowFeed {
   /// The present row of an earlier position.
   Position position_now(const Table& table, Position position);
   std::int64_t number(const std::string& sql, const Position& position);
-  /// Puts rows into the queue, so many at most. The number of rows.
+  /// Puts at most `most` rows into the queue. Returns how many.
   std::size_t take(Table& table, detail::SinkQueue& queue, std::size_t most, std::size_t& bytes_left);
   Run* run_of(std::int64_t number);
   std::uint32_t slot_of(Table& table, detail::SinkQueue& queue, std::int64_t run, std::string_view origin,
@@ -121,7 +121,7 @@ class SqliteFeed final : public detail::RowFeed {
   std::vector<Mark> marks_;
   std::size_t settled_ = 0;                  // of those
   std::uint64_t removed_ahead_ = 0;          // since the last row that was put into the queue
-  std::uint64_t removed_of_new_tables_ = 0;  // of those of which `rows_of_new_tables_` tells
+  std::uint64_t removed_of_new_tables_ = 0;  // of the rows in `rows_of_new_tables_`
   std::int64_t schema_version_ = 0;
   Statement get_schema_version_;
   std::vector<std::string> remarks_;

@@ -97,7 +97,7 @@ void SqliteWriter::begin_in(const std::string& recording) {
 }
 
 void SqliteWriter::configure() {
-  // Of a new file. A row costs its page each time that it is committed: with small ones, many slow topics write a
+  // For a new file. Each commit of a row writes its page: with small pages, many slow topics write only a
   // quarter.
   std::string sql = config_.profile == SqliteProfile::card ? "PRAGMA page_size=1024;" : "";
   sql += "PRAGMA auto_vacuum=INCREMENTAL; PRAGMA journal_mode=WAL; PRAGMA synchronous=";
@@ -113,7 +113,7 @@ void SqliteWriter::configure() {
       sql += "OFF;";
       break;
   }
-  // Checkpoints are ours, outside of commits.
+  // This program makes the checkpoints itself, outside of commits.
   const std::uint64_t most_log = pruner_.log_bytes() != 0 ? pruner_.log_bytes() : std::uint64_t{64} << 20;
   sql += "PRAGMA wal_autocheckpoint=0; PRAGMA temp_store=MEMORY; PRAGMA journal_size_limit=" + std::to_string(most_log);
   database_.execute(sql);

@@ -120,8 +120,8 @@ Result<void> check_recordable(const std::string& path) {
       std::memcmp(head.data(), detail::sqlite_magic.data(), detail::sqlite_magic.size()) != 0)
     return refuse(Errc::not_a_recording, "it is not an SQLite file", "choose another path");
   struct stat log {};
-  if (::stat((path + "-wal").c_str(), &log) == 0 && log.st_size > 0) return {};  // what holds is in there
-  const std::uint32_t page = number_at(14) & 0xffff;                             // 1 stands for 65536
+  if (::stat((path + "-wal").c_str(), &log) == 0 && log.st_size > 0) return {};  // the newest data is in there
+  const std::uint32_t page = number_at(14) & 0xffff;                             // 1 means 65536
   const bool may_be_empty = about.st_size <= static_cast<off_t>(page == 1 ? 65536 : page);
   const std::uint32_t id = number_at(68);
   if (id == sqlite::application_id_before)

@@ -51,8 +51,8 @@ void SqliteWriter::tend_log() {
     (void)sqlite3_db_config(database_.raw(), SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, nullptr);
     is_log_lost_ = true;
     throw SetupError({Errc::closed, "recording has ended", config_.path,
-                      "its log, " + config_.path + "-wal, was cut off: rows that were only there are gone",
-                      "leave it alone while it is recorded into; the next start seals the run"});
+                      "its WAL file, " + config_.path + "-wal, was cut off: rows that were only there are lost",
+                      "do not change it during recording; the next start seals the run"});
   }
   const std::uint64_t limit = pruner_.log_bytes();
   std::uint64_t most = rows_in_last_ >= rows_when_fast ? log_bytes_when_fast : log_bytes_at_most;
@@ -91,7 +91,7 @@ Result<void> SqliteWriter::sync() {
     return {};
   }
   if (log->pMethods->xSync(log, SQLITE_SYNC_NORMAL) == SQLITE_OK) return {};
-  return Error{Errc::io_failed, "cannot force the recording's log onto the disk", config_.path + "-wal", "", ""};
+  return Error{Errc::io_failed, "cannot force the recording's WAL file onto the disk", config_.path + "-wal", "", ""};
 }
 
 /// Warns once when a limit does not hold, and again only after it has held.
@@ -102,11 +102,11 @@ void SqliteWriter::look_at_size() {
     if (::stat((config_.path + part).c_str(), &status) == 0) total += static_cast<std::uint64_t>(status.st_size);
   }
   const bool is_too_large = total > config_.max_bytes + config_.max_bytes / 10;
-  const bool has_cause = pruner_.is_exhausted() || log_is_read_;  // else it is smaller soon
+  const bool has_cause = pruner_.is_exhausted() || log_is_read_;  // otherwise it becomes smaller soon
   if (is_too_large && !is_too_large_ && !pruner_.has_more() && has_cause) {
     warning_ = Error{Errc::storage_full, "the recording is larger than `max_bytes`", config_.path,
                      std::to_string(total) + " bytes" +
-                         (pruner_.is_exhausted() ? ": its accounts alone take as much"
+                         (pruner_.is_exhausted() ? ": its accounts alone need this much"
                                                  : ": another program holds a transaction open"),
                      pruner_.is_exhausted() ? "raise `max_bytes`, or record into another file"
                                             : "end its query: until then no space can be used again"};

@@ -14,7 +14,8 @@ constexpr std::size_t batch_bytes = std::size_t{1} << 20;
 constexpr std::uint64_t account_events = 5000;
 constexpr Duration account_interval = std::chrono::seconds{30};
 constexpr Duration account_interval_of_card = std::chrono::seconds{60};
-constexpr std::size_t most_new_tables = 200;  // in a transaction: SQLite takes the longer for each, the more there are
+constexpr std::size_t
+    most_new_tables = 200;  // in a transaction: the more tables there are, the longer SQLite takes for each
 
 }  // namespace
 
@@ -89,7 +90,7 @@ StorePace SqliteWriter::pace() const {
 }
 
 LiveCounts* SqliteWriter::live_counts(std::uint32_t slot) {
-  return live_.reserve(slot) ? &live_.counts(slot) : nullptr;  // the lane tells when it cannot be
+  return live_.reserve(slot) ? &live_.counts(slot) : nullptr;  // the lane reports a failure
 }
 
 void SqliteWriter::keep(const OriginAccount& now, const Gap* closed) {
@@ -128,7 +129,7 @@ std::optional<Error> SqliteWriter::take_warning() {
   if (sinks.empty()) return no_utf8_.take_warning();
   return Error{Errc::storage_full, "events are deleted before they are sent", config_.path,
                "`max_bytes` or `max_age` deletes what the peer of " + sinks + " does not have yet",
-               "see why the peer is away or slow, or raise the limit; `rtdata info` counts them"};
+               "check why the peer is away or slow, or raise the limit; `rtdata info` counts them"};
 }
 
 void SqliteWriter::begin_counting() {
@@ -138,9 +139,10 @@ void SqliteWriter::begin_counting() {
 
 Result<void> SqliteWriter::write(Batch& batch) try {
   if (has_moved()) {
-    (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // the log stays where it was: what is in it goes into the file
+    (void)checkpoint(
+        SQLITE_CHECKPOINT_TRUNCATE);  // the WAL file stays at the old path: copies its content into the file
     throw SetupError({Errc::closed, "recording has ended", config_.path, "the file was deleted or moved",
-                      "leave it where it is while it is recorded into; start again"});
+                      "do not move or delete it during recording; start again"});
   }
   auto next = batch.begin();
   // The batch comes again, after a part of it was stored.
@@ -157,7 +159,7 @@ Result<void> SqliteWriter::write(Batch& batch) try {
     live_.slot(slot).committed = batch.stored_after(slot);
   account_.committed(batch);
   if (batch.account() != nullptr) now_ = std::max(now_, batch.account()->at);
-  // It is stored: whatever happens from here on, it must not come again.
+  // It is stored: from here on it must not be stored again.
   try {
     look_at_space();
     if (batch.account() != nullptr && !has_told_of_live_file_ && live_.lacks_room()) tell_of_live_file(live_.no_room());
@@ -176,7 +178,7 @@ void SqliteWriter::write_part(Batch& batch, Batch::Iterator& next) {
     rows_in_last_ = store(batch, next);
   } catch (...) {
     roll_back();
-    tables_.clear();  // what was made in the transaction is gone with it
+    tables_.clear();  // tables that the transaction made were rolled back with it
     throw;
   }
   committed();
@@ -333,7 +335,7 @@ void SqliteWriter::read_account() noexcept try {
   if (!recording) return;
   auto report = account_of(*recording, run_);
   if (report) recorded_ = std::make_shared<const RunReport>(*std::move(report));
-} catch (...) {  // no memory: it is not known here
+} catch (...) {  // no memory: there is no report
 }
 
 Result<void> SqliteWriter::close() {
@@ -345,7 +347,7 @@ Result<void> SqliteWriter::close() {
   commit_ = Statement();
   read_account();
   if (!is_log_lost_)
-    (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the log is read from there: nothing is lost
+    (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the WAL file is read from there: nothing is lost
   database_ = Database();
   if (!is_log_lost_) {  // otherwise the next start needs them
     live_.remove();

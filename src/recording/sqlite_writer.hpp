@@ -1,4 +1,4 @@
-// Writes batches and accounts into a recording: one transaction a batch.
+// Writes batches and accounts into a recording: one transaction per batch.
 #pragma once
 
 #include <array>
@@ -26,7 +26,7 @@
 
 namespace rtdata::sqlite {
 
-/// What a run is called in the recording.
+/// How a run is named in the recording.
 struct RunInfo {
   std::string uuid;
   std::string name;
@@ -80,7 +80,7 @@ class SqliteWriter final : public RecordingWriter {
   void write_part(Batch& batch, Batch::Iterator& next);
   /// The transaction of it. Returns how many rows it has.
   std::size_t store(Batch& batch, Batch::Iterator& next);
-  /// The file is no longer at its path.
+  /// True if the file is no longer at its path.
   bool has_moved();
   /// True if another program truncated the WAL file before it was completely in the database.
   bool is_log_cut_off();
@@ -93,7 +93,7 @@ class SqliteWriter final : public RecordingWriter {
   void roll_back() noexcept;
   void prune();
   void write_positions();
-  /// Work of our own, between two batches.
+  /// Maintenance between two batches.
   template <class Work>
   void transaction(Work&& work);
   /// Between two transactions: checkpoints the WAL file if due.
@@ -108,7 +108,7 @@ class SqliteWriter final : public RecordingWriter {
   const RunInfo info_;
   const mode_t permissions_;
   AccountSums sums_;
-  RecordingLock lock_;  // given up last of what follows
+  RecordingLock lock_;  // of these members, released last
   LiveFile live_;
   // During opening the loop counts in its own memory, so the live file is complete only if there is no topic yet.
   std::mutex opening_mutex_;
@@ -149,7 +149,7 @@ class SqliteWriter final : public RecordingWriter {
   std::shared_ptr<const RunReport> recorded_;  // once it is closed
 };
 
-/// Of the files that SQLite and this library keep beside a recording.
+/// The endings of the files that SQLite and this library keep beside a recording.
 inline constexpr std::array<std::string_view, 4> companion_endings{"-wal", "-shm", "-journal", "-lock"};
 
 /// Checks that SQLite treats the path as a file path, and that the companion files' names are not too long.

@@ -22,8 +22,8 @@ struct StepLength {
   std::string_view ending;  ///< of the table's name, behind that of the topic's
   std::string_view from;    ///< the column of rtdata_ledger: the sequence from which on all rows are in steps; 0: none
   std::string_view text;
-  /// Steps of an origin begin when so many events lie in one. A rarer origin has few rows to read, and each transaction
-  /// would write a page of its steps beside one of its rows.
+  /// Steps of an origin begin when a step has this many events. A slower origin has few rows to read, and each
+  /// transaction would write a page of its steps for each page of its rows.
   std::uint64_t first_events;
 };
 inline constexpr std::size_t seconds = 0, minutes = 1;
@@ -38,7 +38,7 @@ std::string step_table(std::string_view table, const StepLength& length);
 std::vector<std::string> tables_of_topic(std::string_view table);
 bool has_table(const Database& database, const std::string& name);
 
-/// Whether steps have figures of it: not of texts, characters, enumerations.
+/// True if steps have figures of it: not for texts, characters, enumerations.
 bool is_number(Kind kind) noexcept;
 
 /// A field of which steps have figures.
@@ -80,7 +80,7 @@ class Step {
     if (events++ == 0) first = sequence;
     last = sequence;
   }
-  /// NaN is no number.
+  /// NaN does not count as a number.
   void add(std::size_t field, double value) noexcept {
     if (value != value) return;
     Number& number = numbers_[field];
@@ -92,7 +92,7 @@ class Step {
   }
   void add(std::size_t field, std::int64_t value) noexcept { add(field, value, static_cast<double>(value)); }
   void add(std::size_t field, std::uint64_t value) noexcept { add(field, turned(value), static_cast<double>(value)); }
-  /// Of the same fields, what follows this one.
+  /// Adds the step that follows this one, of the same fields.
   void add(const Step& later, const std::vector<StepField>& fields) noexcept;
 
   /// All but run, time and origin, in the order of the columns: to integer(), real() and null() of `out`.
@@ -117,7 +117,7 @@ class Step {
       give_figure(number.last);
     }
   }
-  /// What "checksum~" says.
+  /// The value of "checksum~".
   std::uint64_t hash(std::string_view origin, const std::vector<StepField>& fields, RowHash& with) const {
     with.begin();
     with.integer(time);
@@ -159,7 +159,7 @@ class Step {
   std::vector<Number> numbers_;
 };
 
-/// The steps of an origin that go on, from its first event on: `minute` has what is before `second`.
+/// The open steps of an origin, from its first event on: `minute` has the events before `second`.
 class OriginSteps {
  public:
   explicit OriginSteps(std::size_t fields = 0) : second(fields), minute(fields) {}

@@ -1,7 +1,7 @@
-// Writes the steps of a topic beside its rows, in the transaction of the rows.
+// Writes the steps of a topic in the transaction of its rows.
 //
-// The steps that go on are kept in memory, and written anew by each transaction that adds to them: what is committed
-// has the steps of all rows that are, whatever ends the program. Those of an origin begin once a step has
+// Open steps are kept in memory, and written again by each transaction that adds to them: so committed steps always
+// agree with committed rows, whatever ends the program. Those of an origin begin once a step has
 // `first_events` events, with the step before it.
 #pragma once
 
@@ -21,8 +21,8 @@
 
 namespace rtdata::sqlite {
 
-/// The steps of a run that go on, by slot, which outlive the tables: as the transaction under way leaves them, and as
-/// they are committed.
+/// The open steps of a run, by slot, which outlive the tables: as the current transaction leaves them, and as
+/// committed.
 class OpenSteps {
  public:
   struct Origin {
@@ -35,11 +35,11 @@ class OpenSteps {
     Origin& origin;
     bool is_first;  ///< of the transaction under way
   };
-  /// Of an origin whose events are added.
+  /// The open steps of an origin whose events are added.
   Change change(std::uint32_t slot, std::size_t fields);
   void committed();
   void rolled_back();
-  /// At most so many tables of steps are made in a transaction: SQLite takes the longer for each, the more there are.
+  /// At most this many tables of steps are made in a transaction: the more there are, the longer SQLite takes for each.
   bool may_make_table() noexcept { return tables_made_++ < most_new_tables; }
   void warn(Error warning) { warning_ = std::move(warning); }
   std::optional<Error> take_warning() { return std::exchange(warning_, std::nullopt); }
@@ -61,7 +61,7 @@ class StepTables {
   /// `leaves` in the order of the columns of the topic's table, called so. What is passed by reference outlives this.
   StepTables(Database& database, AccountSums& sums, OpenSteps& open, std::string table, std::int64_t run,
              const std::vector<const Leaf*>& leaves);
-  /// Whether a topic with these fields has steps.
+  /// True if a topic with these fields has steps.
   static bool has_steps(const std::vector<const Leaf*>& leaves);
   /// The columns of fields that a table has got.
   static void add_columns(Database& database, const std::string& table, const std::vector<const Leaf*>& leaves);
@@ -77,9 +77,9 @@ class StepTables {
   };
   /// A step that has ended: it is written if the origin has steps, otherwise kept as the one before.
   void end(const Changed& of, std::size_t length, Step& step);
-  /// One that goes on.
+  /// Writes an open step.
   void keep(const Changed& of, std::size_t length, const Step& step);
-  /// Whether the origin has steps of this length from now on.
+  /// True if the origin has steps of this length from now on.
   bool begin(const Changed& of, std::size_t length, const Step& step);
   void write(const SlotInfo& slot, std::size_t length, const Step& step);
   /// False: there is none, and none can be made now.

@@ -20,7 +20,7 @@ namespace rtdata::sqlite {
 /// Checks that a table can have a column for each value. Errors: bad-description.
 Result<void> check_columns(std::string_view topic, const Description& description);
 
-/// In the order of the table's columns, which is another one than theirs when a later run has added some.
+/// In the order of the table's columns, which differs from that of the fields if a later run added some.
 std::vector<const Leaf*> leaves_in_order(const Database& database, std::string_view table,
                                          const Description& description);
 

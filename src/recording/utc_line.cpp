@@ -33,8 +33,8 @@ std::vector<RecordedClock> best_of(const std::vector<RecordedClock>& pairs) {
   return best;
 }
 
-/// Leaves out pairs until both clocks rise from each to the next; of two that do not agree, the less accurate one or
-/// else the earlier one goes.
+/// Removes pairs until both clocks rise from each to the next; of two that do not agree, it removes the less accurate
+/// one, otherwise the earlier one.
 std::vector<RecordedClock> rising(const std::vector<RecordedClock>& pairs) {
   std::vector<RecordedClock> kept;
   for (const RecordedClock& pair : pairs) {
@@ -260,8 +260,8 @@ void NewUtcViews::make(Database& database) {
   views_.clear();
 }
 
-/// As SQLite itself does it, of all at once: a row each in its table of the schema, which is then read anew. It parses
-/// each of them before, without running it, so that none is entered that it would refuse.
+/// Makes all views at once, as SQLite itself does: adds a row for each to the schema table, which is then read again.
+/// SQLite first parses each statement without running it, so that it refuses invalid ones.
 bool NewUtcViews::enter(Database& database) {
   Statement row;
   try {

@@ -41,7 +41,7 @@ bool is_alive(const RunInfo& run) {
   std::ifstream file("/proc/sys/kernel/random/boot_id");
   std::string boot_id;
   std::getline(file, boot_id);
-  // An injected clock need not know the machine: its id does not look like a boot id, and the process decides alone.
+  // A clock for tests may have no real boot id. Then only the check of the process id counts.
   const bool is_machine = run.boot_id.size() == boot_id.size();
   if (boot_id.empty() || (is_machine && boot_id != run.boot_id) || run.pid <= 0) return false;
   return ::kill(static_cast<pid_t>(run.pid), 0) == 0 || errno == EPERM;
@@ -116,7 +116,7 @@ void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& 
   OriginRows* current = nullptr;
   ValueSums sums(topic.table);
   StepCheck steps(file, topic, runs, problems);
-  std::map<std::int64_t, std::uint64_t> strays;  // rows of runs that are not there
+  std::map<std::int64_t, std::uint64_t> strays;  // rows of missing runs
   std::unordered_map<std::string, OriginRows*> known;
   std::int64_t known_run = 0;
   std::string name;
@@ -129,7 +129,7 @@ void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& 
       continue;
     }
     if (sqlite3_column_type(statement.raw(), 3) != SQLITE_TEXT) [[unlikely]] {
-      // Reading it as a text would make it one, for its hash too.
+      // Reading it as a text would convert it, also for its hash.
       problems.push_back(topic.topic + ": row " + std::to_string(statement.integer(0)) + " has no text as its origin.");
       if (problems.size() > 100) break;
       continue;
@@ -166,7 +166,7 @@ void scan_rows(const RecordingFile& file, const RecordedTopic& topic, RunsRows& 
   if (sums.rest() != 0)
     problems.push_back(
         topic.topic + ": " + plural(sums.rest(), "row") +
-        " at its end have no checksum: there are rows behind the last transaction, or its end is not there.");
+        " at its end have no checksum: there are rows after the last transaction, or its end is not there.");
   for (const auto& [run, rows] : strays) {
     problems.push_back(topic.topic + ": " + plural(rows, "row") + " of run " + std::to_string(run) +
                        ", which is not in the list of runs.");
@@ -280,12 +280,12 @@ VerifyReport verify_contents(const Recording& recording) {
   auto odd = recording.file()->database.integer(
       "SELECT count(*) FROM rtdata_utc WHERE typeof(since) <> 'integer' OR typeof(\"offset\") <> 'integer' OR "
       "typeof(rate) <> 'real'");
-  if (odd != 0) report.problems.push_back("The UTC line (rtdata_utc) has something else in it than numbers.");
+  if (odd != 0) report.problems.push_back("The UTC line (rtdata_utc) has values that are not numbers.");
   std::set<std::string> boots;
   for (const RunReport& run : report.runs) boots.insert(run.info.boot_id);
   for (const std::string& boot : boots) {
     if (!sqlite::utc_line_agrees(recording.file()->database, boot))
-      report.problems.push_back("The UTC line of boot " + boot + " (rtdata_utc) is not what rtdata_clock says.");
+      report.problems.push_back("The UTC line of boot " + boot + " (rtdata_utc) does not agree with rtdata_clock.");
   }
   auto are_topics_changed = check_account_sums(*recording.file(), topics, report);
   check_layout(*recording.file(), topics, are_topics_changed, report.problems);

@@ -65,7 +65,7 @@ void check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& t
     const std::string_view type = query.text(0), name = query.text(1);
     if (type == "trigger") {
       problems.push_back("There is a trigger, " + std::string(name) +
-                         ", which is not of the recording: it may change what is recorded.");
+                         ", which does not belong to the recording: it may change what is recorded.");
     } else if (type == "view") {
       views.emplace(name, query.text(2));
     }
@@ -74,8 +74,8 @@ void check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& t
   for (const RecordedTopic& topic : topics) check_columns_of(file, topic, are_topics_changed, problems);
   if (are_topics_changed && problems.size() == before)
     problems.push_back("rtdata_topic: the checksum of its " + plural(topics.size(), "row") +
-                       " is another than when they were written: a row was changed, added or deleted.");
-  const bool are_columns_right = problems.size() == before;  // else SQLite may have changed the views with them
+                       " is not the same as when they were written: a row was changed, added or deleted.");
+  const bool are_columns_right = problems.size() == before;  // otherwise SQLite may have changed the views with them
   check_positions(file, problems);
   std::vector<sqlite::View> wanted = sqlite::account_views();
   for (const RecordedTopic& topic : topics) wanted.push_back(sqlite::utc_view(topic.table, *topic.description));
@@ -88,7 +88,7 @@ void check_layout(const RecordingFile& file, const std::vector<RecordedTopic>& t
     try {
       (void)file.prepare("SELECT * FROM " + sqlite::quoted(view.name));
       if (there->second != view.sql && are_columns_right)
-        problems.push_back("The view " + view.name + " is another than that of a recording.");
+        problems.push_back("The view " + view.name + " differs from that of a recording.");
     } catch (const SetupError& error) {
       problems.push_back("The view " + view.name + " is damaged: " + error.error().why + ".");
     }

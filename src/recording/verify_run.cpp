@@ -148,7 +148,8 @@ void check_account(const Findings& found, const LedgerEntry& entry) {
                                               : Term{"scheduled + carried", s.scheduled + entry.carried};
     check_sum(found, place, scheduled,
               {{"taken", s.taken}, {"missed", s.missed}, {"failed", s.failed}, {"in flight", s.in_flight}});
-    if (s.in_flight > 1) found.inexact(place + number(s.in_flight) + " reads are in flight, there is at most one.");
+    if (s.in_flight > 1)
+      found.inexact(place + number(s.in_flight) + " reads are in flight, but at most one is possible.");
     if (s.late > s.taken) found.inexact(place + number(s.late) + " were late of only " + number(s.taken) + " taken.");
   } else if ((s.scheduled | s.taken | s.missed | s.failed | s.in_flight | s.late) != 0) {
     found.problem(place + "it has no schedule, but reads are counted.");
@@ -157,7 +158,7 @@ void check_account(const Findings& found, const LedgerEntry& entry) {
       found, place, {"received", s.received},
       {{"published", s.published}, {"repeated", s.repeated}, {"filtered", s.filtered}, {"unreadable", s.unreadable}});
   if (entry.carried > 1) {
-    found.problem(place + number(entry.carried) + " reads were under way when it began, there is at most one.");
+    found.problem(place + number(entry.carried) + " reads were under way when it began, but at most one is possible.");
   }
   if (s.published != entry.offered) {
     found.inexact(place + number(s.published) + " published, but " + number(entry.offered) +
@@ -204,8 +205,8 @@ void check_schedule(const Findings& found, const LedgerEntry& entry,
   }
 }
 
-/// Whether a gap that lies before the schedule is the failure of the read that was under way when the recording began,
-/// with what failed right after it.
+/// True if a gap before the schedule is the failure of the read that was under way when the recording began, with the
+/// failures right after it.
 bool is_of_carried(const LedgerEntry& entry, const RecordedGap& gap, const std::vector<const RecordedGap*>& gaps,
                    const std::vector<const RecordedSegment*>& segments) {
   if (entry.carried == 0 || &gap != gaps.front() || gap.kind != "failed") return false;
@@ -374,8 +375,8 @@ void note_end(const Findings& found, Recorder recorder) {
       found.note(process + " is still recording: this holds" + up_to + ", and is approximate.");
     } else if (recorder == Recorder::of_another_file) {
       found.note(process +
-                 " records this run into another file, of which this is a copy without its log (-wal): it holds" +
-                 up_to + ", without the content of that log. Copy the two together, or with sqlite3: .backup");
+                 " records this run into another file, of which this is a copy without its WAL file (-wal): it holds" +
+                 up_to + ", without the content of that file. Copy the two together, or with sqlite3: .backup");
     } else {
       found.note("It ended without closing and is not sealed: this holds" + up_to +
                  ". `rtdata seal`, or the next recording into the file, seals it and reports the losses.");
@@ -425,7 +426,7 @@ void verify_run(const OfRun& of_run, const RunRows& run_rows, RunReport& report)
     std::sort(sentences.begin(), sentences.end());
     for (std::string& sentence : sentences) found.problem(std::move(sentence));
   };
-  strays(of_run.segments_of, "stretch of schedule");
+  strays(of_run.segments_of, "segment");
   strays(of_run.gaps_of, "gap");
   report.values_checked = run_rows.checked;
   report.checksum += run_rows.sum;
@@ -436,7 +437,7 @@ void verify_run(const OfRun& of_run, const RunRows& run_rows, RunReport& report)
   if (!left_open.empty()) {
     found.note(
         "Its last account is older than its end, since the power was cut, or it could not be written any more. "
-        "What it counts after that is held to bounds; no row is lost by it. " +
+        "Later counts are checked only against limits; this loses no row. " +
         plural(left_open.size(), "equation") + " left open, for example " + left_open.front());
   }
   if (!report.problems.empty()) report.verdict = Verdict::not_balanced;

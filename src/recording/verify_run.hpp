@@ -85,7 +85,7 @@ struct Findings {
     if (report.notes.size() < most_sentences) report.notes.push_back(std::move(text));
   }
   std::string utc(Time recorded) const { return to_iso8601(report.line.utc(recorded)); }
-  /// For checks that are exact only after the run is closed.
+  /// Adds a problem of a check that is exact only after the run is closed.
   void inexact(std::string text) const { is_exact ? problem(std::move(text)) : open.push_back(std::move(text)); }
 };
 

@@ -131,7 +131,7 @@ void StepCheck::compare(Origin& origin, std::size_t length, const sqlite::Step& 
   if (!is_wanted) {
     tell(origin, length, made.time, "is there, before the origin has steps");
   } else if (!is_same) {
-    tell(origin, length, made.time, "is another than its rows say: it was changed, or they were");
+    tell(origin, length, made.time, "does not agree with its rows: it was changed, or they were");
   }
   advance(stored);
 }

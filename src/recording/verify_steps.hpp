@@ -1,4 +1,4 @@
-// The part of verify that holds the recorded steps of a topic to its rows.
+// The part of verify that compares the recorded steps of a topic with its rows.
 #pragma once
 
 #include <array>
@@ -15,12 +15,12 @@
 
 namespace rtdata::detail {
 
-/// Makes the steps of the rows again, as they were written: each has to be there, the same to the last bit, and no
-/// others. Of a step whose first rows were pruned, its checksum and its end are held.
+/// Computes the steps from the rows again: each must be recorded, the same to the last bit, and no others. If the first
+/// rows of a step were pruned, only its checksum and its end are checked.
 class StepCheck {
  public:
   StepCheck(const RecordingFile& file, const RecordedTopic& topic, RunsRows& runs, std::vector<std::string>& problems);
-  /// Adds the next row of the topic's table: `row` stands at it, and from column `first` on has the table's columns.
+  /// Adds the next row of the topic's table: `row` is at it, and has the table's columns from column `first` on.
   void add(sqlite3_stmt* row, int first, const OriginRows& origin);
   /// After the last row.
   void end();
@@ -49,7 +49,7 @@ class StepCheck {
   void tell(const Origin& origin, std::size_t length, std::int64_t time, const char* what);
   /// Reports steps of runs and origins that have no rows.
   void tell_others(std::size_t length);
-  /// Whether a table of steps has the columns of the fields, and no others.
+  /// True if a table of steps has the columns of the fields, and no others.
   bool has_columns(const std::vector<std::string>& columns, const std::string& table);
 
   const RecordingFile& file_;

@@ -38,7 +38,7 @@ void ValueSums::tell_changed(sqlite3_stmt* row, int first, RunRows& run) const {
   }
   run.changed.push_back(table_ + ": the checksum of " + plural(found_.rows, "row") + " up to sequence " +
                         std::to_string(sqlite3_column_int64(row, first + 3)) + " of origin " + origin +
-                        " is another than when they were written: a value was changed, or a row added or deleted.");
+                        " is not the same as when they were written: a value was changed, or a row added or deleted.");
 }
 
 bool check_account_sums(const RecordingFile& file, const std::vector<RecordedTopic>& topics, VerifyReport& report) {

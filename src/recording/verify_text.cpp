@@ -1,4 +1,4 @@
-// A verify report for people and for programs.
+// A verify report as text and as JSON.
 #include <algorithm>
 #include <array>
 #include <cstdio>

@@ -25,7 +25,7 @@ TickCheck::TickCheck(const LedgerEntry& entry, const std::vector<const RecordedS
     }
   }
   for (; next_gap < gaps.size(); ++next_gap) {
-    // Of the read that was under way when the recording began there may be one without any schedule.
+    // The read that was under way when the recording began may have a gap without any schedule.
     if (!segments.empty() || carried_ == 0) mistake(describe(*gaps[next_gap]) + " lies after the schedule");
   }
 }
@@ -35,7 +35,7 @@ void TickCheck::add_segment(std::size_t number, const Segment& segment, Time bef
   const std::int64_t first = to_nanoseconds(segment.first_due), period = segment.period.count();
   const auto ticks = static_cast<std::int64_t>(segment.computed());
   std::int64_t at = 0;  // the first tick that is in no stretch yet
-  // Gaps that were joined, and what lies among them: which of these ticks were taken is not known, only how many.
+  // Joined gaps and the readings between them: only the number of taken ticks is known, not which ones.
   std::int64_t joined_from = 0, joined_up_to = -1;
   std::uint64_t joined = 0;
   const auto end_joined = [&] {
@@ -53,14 +53,14 @@ void TickCheck::add_segment(std::size_t number, const Segment& segment, Time bef
   };
   for (; next_gap < gaps.size() && gaps[next_gap]->first <= segment.end && gaps[next_gap]->first < before; ++next_gap) {
     const RecordedGap& gap = *gaps[next_gap];
-    if (gap.last < segment.first_due) {  // of a read that was under way when the recording began
-      if (number != 0 || carried_ == 0) mistake(describe(gap) + " lies in no schedule");
+    if (gap.last < segment.first_due) {  // the gap of a read that was under way when the recording began
+      if (number != 0 || carried_ == 0) mistake(describe(gap) + " belongs to no schedule");
       continue;
     }
     std::int64_t from = gap.first < segment.first_due ? 0 : (to_nanoseconds(gap.first) - first) / period;
     const std::int64_t up_to = (to_nanoseconds(gap.last) - first) / period;
     if (up_to >= ticks) {
-      mistake(describe(gap) + " goes on after the schedule, up to " + utc(gap.last));
+      mistake(describe(gap) + " continues after the schedule, up to " + utc(gap.last));
       continue;
     }
     const bool is_joined = gap.kind == "joined";
@@ -110,13 +110,13 @@ void TickCheck::mistake(std::string sentence) {
 }
 
 void TickCheck::add(std::int64_t time, std::uint64_t sequence) {
-  if (sequence < first_sequence_) return;  // which is a mistake of its own
+  if (sequence < first_sequence_) return;  // reported as a separate mistake
   const std::uint64_t number = sequence - first_sequence_;
   // What was under way when the recording began may have been the first one.
   const Stretch* earliest = number < carried_ ? nullptr : find(number - carried_, lower_);
   if (earliest == nullptr && number >= carried_) {
     return mistake("the row of sequence " + std::to_string(sequence) + ", " + utc(time) +
-                   ", is of no tick: all of them are in gaps, or have other rows");
+                   ", belongs to no tick: every tick is in a gap or has another row");
   }
   if (earliest != nullptr && time < earliest->earliest(number - carried_)) {
     return mistake("the time of sequence " + std::to_string(sequence) + ", " + utc(time) +
@@ -135,7 +135,7 @@ void TickCheck::add(std::int64_t time, std::uint64_t sequence) {
   const std::int64_t end = next->latest(number + more_ticks_ + 1) + next->period;
   if (time >= end) {
     mistake("the time of sequence " + std::to_string(sequence) + ", " + utc(time) +
-            ", is not before the tick after the one that follows, " + utc(end));
+            ", is too late: it must be before " + utc(end));
   }
 }
 

@@ -38,14 +38,15 @@ class TickCheck {
   std::uint64_t more() const noexcept { return mistakes_ - sentences_.size(); }
 
  private:
-  /// Successive ticks of one segment, of which `taken` were taken: all of them, or all but those in joined gaps.
+  /// Consecutive ticks of one segment. `taken` of them were read: all, or all except those in joined gaps, whose places
+  /// are unknown.
   struct Stretch {
     std::size_t segment;
     std::int64_t first;  // due
     std::int64_t period;
     std::uint64_t ticks;
     std::uint64_t taken;
-    std::uint64_t before;  // taken in all that came before
+    std::uint64_t before;  // taken in all earlier stretches
     std::int64_t late_after;
     std::int64_t earliest(std::uint64_t n) const noexcept {
       return first + static_cast<std::int64_t>(n - before) * period;
@@ -54,7 +55,7 @@ class TickCheck {
       return first + static_cast<std::int64_t>(ticks - taken + n - before) * period;
     }
   };
-  /// `before`: gaps that begin then or later are another segment's.
+  /// `before`: gaps that begin then or later belong to another segment.
   void add_segment(std::size_t number, const Segment& segment, Time before, const std::vector<const RecordedGap*>& gaps,
                    std::size_t& next_gap);
   void add_stretch(std::size_t segment, const Segment& of, std::int64_t first_tick, std::uint64_t ticks,
@@ -77,7 +78,7 @@ class TickCheck {
   std::size_t lower_ = 0, upper_ = 0;
   std::vector<std::string> sentences_;
   std::uint64_t mistakes_ = 0;
-  bool is_exact_;  // which tick a row is of
+  bool is_exact_;  // the tick of each row is known
   std::uint64_t rows_ = 0;
   Lateness lateness_{};
 };

@@ -132,7 +132,8 @@ TEST_SUITE("app") {
     rtdata::sqlite::Database::open(b.folder.path() + "/run.db", rtdata::sqlite::Database::Mode::write)
         .execute("UPDATE igniter SET armed = 'x'");
     b.start();
-    CHECK_MESSAGE(has(b.process->err, "error: machine m: output igniter is not armed again, since it cannot be read"),
+    CHECK_MESSAGE(has(b.process->err,
+                      "error: machine m: output igniter is not armed again: the program could not read its last state"),
                   b.process->err);
     CHECK(has(b.ctl({"set", "igniter", "1"}, 1), "it is disarmed"));
     b.process->signal(SIGTERM);

@@ -84,7 +84,7 @@ TEST_SUITE("app") {
       Process wrong(folder, program, arguments);
       CHECK(wrong.end() == 1);
       CHECK(has(wrong.err, arguments[2]));
-      if (arguments[1] == "--cpu") CHECK(has(wrong.err, "this program may use no such processor: there are "));
+      if (arguments[1] == "--cpu") CHECK(has(wrong.err, "this program may not use this processor; available: "));
     }
   }
 }

@@ -78,11 +78,11 @@ TEST_SUITE("app") {
     CHECK(one.status == 0);
     CHECK_MESSAGE(has(one.out, "scale.value of the sensor itself, which runs for this alone"), one.out, one.err);
     CHECK(has(one.out, "  2: raw "));
-    CHECK(has(one.out, "point 2 is taken back"));
+    CHECK(has(one.out, "point 2 is removed"));
     CHECK(has(one.out, "\"x\" is not a number such as 98.1"));
     CHECK(has(one.out, "largest residual "));
     CHECK(has(one.out, "wrote hall.json: 3 points for scale.value"));
-    CHECK(has(one.out, "in their place, its calibration has no more: scale, version"));
+    CHECK(has(one.out, "removed from this calibration: scale, version"));
     CHECK_MESSAGE(one.err.empty(), one.err);
     std::istringstream lines(one.out);
     for (std::string line; std::getline(lines, line);) CHECK_MESSAGE(line.size() <= 80, line);
@@ -155,7 +155,7 @@ TEST_SUITE("app") {
       CHECK(has(ctl({"tare", "scael"}, 1), "did you mean"));
       CHECK(has(ctl({"tare", "scale.raw"}, 1), "raw has no calibration"));
       CHECK(has(ctl({"tare", "scale", "now"}, 1), "--clear"));
-      CHECK(has(ctl({"tare"}, 1), "it is written `tare SENSOR[.FIELD] [--clear]`"));
+      CHECK(has(ctl({"tare"}, 1), "write it as `tare SENSOR[.FIELD] [--clear]`"));
       const std::string taken = ctl({"tare", "scale"}, 0);
       CHECK_MESSAGE(has(taken, "scale.value reads 0 now: its tare is 100, the mean of "), taken);
       CHECK(has(value(), "value"));
@@ -178,13 +178,13 @@ TEST_SUITE("app") {
     {
       Process run(folder, program, {"run", "hall.json", "--for", "1s"});
       CHECK(run.end() == 0);
-      CHECK_MESSAGE(has(run.out + run.err, "tares as before, of hall.tare: scale.value 130"), run.out, run.err);
+      CHECK_MESSAGE(has(run.out + run.err, "tares as before, from hall.tare: scale.value 130"), run.out, run.err);
       CHECK_MESSAGE(has(rows("-1"), ",scale,1,20,"), rows("-1"));  // from the first row on
     }
     {
       Process run(folder, program, {"run", "hall.json"});
       REQUIRE(run.wait_for("running hall"));
-      CHECK(ctl({"tare", "scale", "--clear"}, 0) == "the tare of scale.value is taken away\n");
+      CHECK(ctl({"tare", "scale", "--clear"}, 0) == "the tare of scale.value is removed\n");
       run.signal(SIGTERM);
       CHECK(run.end() == 0);
     }
@@ -198,11 +198,11 @@ TEST_SUITE("app") {
     folder.write("hall.tare", "{");
     {
       Process run(folder, program, {"run", "hall.json"});
-      REQUIRE(run.wait_for("the tares in hall.tare are not taken"));
+      REQUIRE(run.wait_for("the tares in hall.tare are not used"));
       REQUIRE(run.wait_for("running hall"));
       CHECK(has(ctl({"tare", "scale"}, 0), "its tare is 150"));
       folder.write("hall.json", configuration(R"({"scale": 2048})"));
-      CHECK(has(ctl({"reload"}, 0), "its tare, 150 of value, is not taken, since that calibration has changed"));
+      CHECK(has(ctl({"reload"}, 0), "its tare, 150 of value, is not used, because that calibration has changed"));
       run.signal(SIGTERM);
       CHECK(run.end() == 0);
     }
@@ -215,7 +215,7 @@ TEST_SUITE("app") {
     {
       Process run(folder, program, {"run", "hall.json", "--for", "300ms"});
       CHECK(run.end() == 0);
-      CHECK_MESSAGE(has(run.out + run.err, "are not taken: they are those of "), run.out, run.err);
+      CHECK_MESSAGE(has(run.out + run.err, "are not used: they are those of "), run.out, run.err);
     }
     std::filesystem::remove(folder.path() + "/hall.tare");
     REQUIRE(::mkfifo((folder.path() + "/hall.tare").c_str(), 0600) == 0);
@@ -255,11 +255,11 @@ TEST_SUITE("app") {
       return one.out + one.err;
     };
     CHECK(has(end("scael", "true", 1), "did you mean scale?"));
-    CHECK(has(end("scale.valeu", "true", 1), "it has no number valeu; there are value"));
+    CHECK(has(end("scale.valeu", "true", 1), "it has no number valeu; available: value"));
     CHECK(has(end("scale", "true", 1), "nothing was written: a line needs two points, there is none"));
     CHECK(has(end("scale", "echo 1; heard ' 1: raw'", 1), "a line needs two points, there is one"));
     // The same raw value twice gives no line.
-    CHECK(has(end("scale", "echo 1; echo 2; heard 'not taken'", 1), "as at point 1: not taken"));
+    CHECK(has(end("scale", "echo 1; echo 2; heard 'not used'", 1), "as at point 1: not used"));
     // Changed meanwhile.
     const std::string changed = end(
         "scale", "echo 1; heard ' 1: raw'; echo 300 1<>code; echo >>hall.json; echo 2; heard ' 2: raw'", 1);

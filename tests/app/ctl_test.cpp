@@ -60,11 +60,11 @@ TEST_SUITE("app") {
     CHECK(ctl({"ack", "alarm"}, 0) == "the alarm of alarm is acknowledged\n");
     CHECK(ctl({"ack", "alarm"}, 0) == "there is no alarm of alarm to acknowledge\n");
     // What cannot be done is refused with the reason, and changes nothing.
-    CHECK(has(ctl({"ack", "load"}, 1), "sensor load is no limit"));
+    CHECK(has(ctl({"ack", "load"}, 1), "sensor load is not a limit"));
     CHECK(has(ctl({"start", "laod"}, 1), "did you mean \"load\"?"));
     CHECK(has(ctl({"rate", "load", "fast"}, 1), "fast"));
     CHECK(has(ctl({"rate", "alarm", "5 Hz"}, 1), "the sensor is fed, not sampled"));
-    CHECK(has(ctl({"rate", "load"}, 1), "it is written `rate SENSOR RATE`"));
+    CHECK(has(ctl({"rate", "load"}, 1), "write it as `rate SENSOR RATE`"));
     CHECK(has(ctl({"restart"}, 2), "there is no command \"restart\""));
     CHECK(has(ctl({}, 2), "rtdata: which command?\ncommands:\n"));
     CHECK(has(ctl({"rog", "stop", "load"}, 1), "no running instance is called \"rog\""));
@@ -92,7 +92,7 @@ TEST_SUITE("app") {
               "note the valve is \xc3\xbc"
               "ber"));
     CHECK(has(commands[5].dump(), "xxx..."));
-    CHECK(has(commands[9].dump(), "sensor load is no limit"));
+    CHECK(has(commands[9].dump(), "sensor load is not a limit"));
     CHECK(has(folder.read("rig.log"), "`rate load 50 Hz` by uid"));
     CHECK(Process(folder, program, {"ctl", "note", "x"}).end() == 1);  // nothing runs any more
   }

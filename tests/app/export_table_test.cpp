@@ -136,19 +136,19 @@ TEST_SUITE("app") {
       CHECK(out.str().empty());
     };
     refuses({.database = path, .separator = ";"},
-            "the rows of a table are of one topic, and there are air and gps/fix");
+            "a table can have the rows of only one topic, but there are air and gps/fix");
     refuses({.database = path, .topic = "air", .join = {"gps"}}, "--join gps: it has no such topic");
     refuses({.database = path, .topic = "air", .join = {"air"}}, "--join air: the topic is in the table already");
     refuses({.database = path, .topic = "air", .join = {"gps/fix", "gps/fix"}}, "the topic is in the table already");
     refuses({.database = path, .topic = "air", .format = "jsonl", .separator = ";"},
-            "--separator: it is of CSV, and not of jsonl");
+            "--separator: it needs --format csv, not jsonl");
     refuses({.database = path, .topic = "air", .folder = folder.path() + "/out", .digits = 2},
-            "--digits: it is of one topic");
+            "--digits: this option needs one topic");
     refuses({.database = path, .topic = "air", .step = "1s", .decimal = ","},
-            "--decimal: it is of events, and --step of steps");
+            "--decimal: it does not work together with --step");
     refuses({.database = path, .topic = "air", .start = "1970-01-01T00:00:00Z"},
-            "--start 1970-01-01T00:00:00Z: it is of --time seconds");
-    refuses({.database = path, .topic = "air", .within = "1s"}, "--within 1s: it is of --join");
+            "--start 1970-01-01T00:00:00Z: it works only with --time seconds");
+    refuses({.database = path, .topic = "air", .within = "1s"}, "--within 1s: it works only with --join");
     refuses({.database = path, .topic = "air", .join = {"gps/fix"}, .within = "soon"}, "soon");
     refuses({.database = path, .topic = "air", .separator = ",", .decimal = ","},
             "--separator ,: it is the decimal mark, too");

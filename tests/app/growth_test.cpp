@@ -105,7 +105,7 @@ TEST_SUITE("app") {
     };
     CHECK(warned(R"({"type": "sqlite", "path": "a.db", "batch_time": "2 s", "close_deadline": "0 s"})") ==
           "sinks[0].close_deadline the end of the run does not wait until the last events are stored: those that came "
-          "within its `batch_time`, 2 s, are lost; give it some seconds, or leave `close_deadline` out");
+          "within its `batch_time`, 2 s, are lost; give it some seconds, or remove `close_deadline`");
     CHECK(warned(R"({"type": "sqlite", "path": "a.db", "close_deadline": "1 ms"})") == "");
     CHECK(warned(R"({"type": "sqlite", "path": "a.db"})") == "");
   }

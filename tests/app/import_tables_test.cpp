@@ -213,7 +213,7 @@ TEST_SUITE("app") {
     is_refused("1.3.1500", "%d.%m.%Y", "from 1678 to 2261");
     is_refused("1.3.2026 x", "%d.%m.%Y", "it is not written as --time-format has it");
     is_refused("1", "%d", "its date is not whole");
-    is_refused("1", "%Q", "it has %Q, and there is %Y");
+    is_refused("1", "%Q", "it has %Q; available: %Y");
     is_refused("1", "%I", "%I and %p go together");
     is_refused("2026-03-01 12:07:30", "%Y-%m-%d %H:%m:%S", "it has two parts for the month (%M is the minute)");
     is_refused("12:07:30", "%H:%M:%H", "it has two parts for the hour");
@@ -243,7 +243,7 @@ TEST_SUITE("app") {
               "buoy.txt:2: \"#yr mo dy hr mn\" in columns #YY, MM, DD, hh and mm is not a time"));
     CHECK(has(buoy({"--time", "#YY", "MM", "DD", "hh", "mm", "--time-format", format, "--units", "row"}, 1),
               "is before the time of the row above it: sort the rows by time: write --sort"));
-    CHECK(has(buoy({"--time", "#YY,MM,DD,hh,mm", "--time-format", format}, 1), "blanks between their names"));
+    CHECK(has(buoy({"--time", "#YY,MM,DD,hh,mm", "--time-format", format}, 1), "blanks between the names"));
     CHECK(has(buoy({"--time", "#YY", "MM", "DD", "hh", "mm", "--units", "row"}, 1), "write --time-format"));
     check_nothing_made(folder);
     CHECK(has(buoy({"--time", "#YY", "MM", "DD", "hh", "mm", "--time-format", format, "--units", "row", "--none", "MM",
@@ -275,7 +275,7 @@ TEST_SUITE("app") {
     CHECK(has(import(folder, {"old.csv", "--time", "y", "d", "--time-format", "%Y %j", "--zone", "Z"}, 1), "write %y"));
     folder.write("blank.csv", "a;b;v\n12;345;1\n");
     CHECK(has(import(folder, {"blank.csv", "--time", "a", "b", "--separator", ";", "--thousands", " "}, 1),
-              "a time of several columns is no number"));
+              "a time of several columns is not a number"));
   }
 
   TEST_CASE("import: parts of a second that are counted are not taken for decimals") {
@@ -324,13 +324,13 @@ TEST_SUITE("app") {
           "utc,origin,sequence,kind,I,GyrX,AccX\n1970-01-01T00:00:01.000000000Z,flight,1,IMU,0,0.01,9.8\n"
           "1970-01-01T00:00:01.002500000Z,flight,2,IMU,0,0.03,9.6\n");
     folder.write("rover.log", "$IMU,0.01,1,2\n$GPS,0.02,51.0\n$IMU,0.03,2,4\n");
-    CHECK(has(import(folder, {"rover.log", "--time", "t"}, 1), "its first row seems to be no heading"));
+    CHECK(has(import(folder, {"rover.log", "--time", "t"}, 1), "its first row seems not to be a heading"));
     CHECK(has(import(folder, {"rover.log", "--time", "t", "--columns", "kind,t,a,b"}, 1), "3 cells, where --columns"));
     CHECK(has(import(folder, {"rover.log", "--time", "t", "--columns", "kind,t,a,b", "--only", "IMU"}, 1),
               "no row begins with IMU, where there are $IMU, $GPS"));
     folder.write("arrays.dat", "101,900,1.5\n102,900,7,8\n101,915,1.6\n");
     CHECK(has(import(folder, {"arrays.dat", "--time", "t", "--columns", "id,t,v"}, 1),
-              "arrays.dat:2: 4 cells, where --columns names 3: if its rows are of several kinds, take one: --only"));
+              "arrays.dat:2: 4 cells, where --columns names 3: if it has rows of several kinds, take one: --only"));
     import(folder, {"rover.log", "--time", "t", "--columns", "kind,t,a,b", "--only", "$IMU", "--sort"});
     CHECK(has(rows_of(folder, "rover.db"), "00.010000000Z,rover,1,$IMU,1,2\n1970-01-01T00:00:00.030000000Z,rover,2,"));
   }
@@ -367,9 +367,9 @@ TEST_SUITE("app") {
     CHECK(has(import(folder, {"newest.csv", "--time", "T", "--time-format", "%H:%M", "--sort"}, 1), "it has no date"));
     CHECK(has(
         import(folder, {"newest.csv", "--time", "T", "--time-format", "%H:%M"}, 1),
-        "if all of its rows are of one day, write --sort; if they are not, the table wants a column with the date"));
+        "if all of its rows are of one day, write --sort; if they are not, the table needs a column with the date"));
     CHECK(has(import(folder, {"night.csv", "--time", "T", "--time-format", "%T", "--zone", "+01:00"}, 1),
-              "have no date, and count from --start: leave --zone out"));
+              "have no date, and count from --start: remove --zone"));
     check_nothing_made(folder);
     folder.write("day.csv", "T,v\n12:10,2\n12:00,1\n");
     CHECK(has(import(folder, {"day.csv", "--time", "T", "--time-format", "%H:%M", "--sort"}),
@@ -404,19 +404,19 @@ TEST_SUITE("app") {
         "\"TOA5\",\"Roof\",\"CR1000\"\n\"TIMESTAMP\",\"RECORD\",\"T_Avg\"\n\"TS\",\"RN\",\"degC\"\n\"\",\"\",\"Avg\"\n"
         "\"2026-03-01 12:00:00\",0,1.5\n\"2026-03-01 12:15:00\",1,\"NAN\"\n");
     CHECK(has(import(folder, {"toa5.dat", "--time", "TIMESTAMP", "--skip", "1", "--zone", "Z", "--units", "row"}, 1),
-              "toa5.dat:4: \"\" in column TIMESTAMP is not a time: if rows without a time are to be left out, write "
+              "toa5.dat:4: \"\" in column TIMESTAMP is not a time: to skip rows without a time, write "
               "--partial"));
     import(folder, {"toa5.dat", "--time", "TIMESTAMP", "--skip", "1", "--zone", "Z", "--units", "row", "--partial",
                     "--none", "NAN"});
     CHECK(has(rows_of(folder, "toa5.db"), "RECORD [RN],T_Avg [degC]\n2026-03-01T12:00:00.000000000Z,toa5,1,0,1.5\n"));
     folder.write("lab.lvm", "X_Value\tVolts\n0.0\t1.5\n0.1\t1.6\nChannels\t1\nX_Value\tVolts\n0.0\t1.7\n");
-    CHECK(
-        has(import(folder, {"lab.lvm", "--time", "X_Value", "--separator", "tab"}, 1),
-            "lab.lvm:4: \"Channels\" in column X_Value is not a time: a number, or a time as 2026-03-01T12:00:00Z; if "
-            "the table ends above it, take that part: head -n 3 lab.lvm >table.csv"));
+    CHECK(has(import(folder, {"lab.lvm", "--time", "X_Value", "--separator", "tab"}, 1),
+              "lab.lvm:4: \"Channels\" in column X_Value is not a time: write a number, or a time such as "
+              "2026-03-01T12:00:00Z; if "
+              "the table ends above it, take that part: head -n 3 lab.lvm >table.csv"));
     folder.write("bare.txt", "2026-03-01 12:00:00    1.5  on\n2026-03-01 12:00:10    1.6  off\n");
     CHECK(has(import(folder, {"bare.txt", "--time", "t", "--separator", "blanks"}, 1),
-              "its first row seems to be no heading: name its 4 columns by --columns t,..."));
+              "its first row seems not to be a heading: name its 4 columns by --columns t,..."));
     folder.write("days.csv", "day,v\n2026-03-01,1\n");
     CHECK(has(import(folder, {"days.csv", "--time", "day"}, 1), "if its rows are days, write --time-format %F"));
     folder.write("thing.csv", "t,v\n2026-03-01 12:00:00 UTC,1\n");
@@ -428,9 +428,9 @@ TEST_SUITE("app") {
     CHECK(has(import(folder, {"pipes.tsv", "--time", "t", "--separator", "tab"}, 1), "remove them all: tr -d '\"'"));
     folder.write("millis.csv", "timeMs,v\n0,1\n1000,2\n0,3\n");
     CHECK(has(import(folder, {"millis.csv", "--time", "timeMs"}, 1), "write --scale \"1 ms\""));
-    CHECK(
-        has(import(folder, {"millis.csv", "--time", "timeMs", "--scale", "1ms"}, 1),
-            "its clock seems to begin again in line 4: take the part above it, head -n 3 millis.csv >table.csv, and"));
+    CHECK(has(
+        import(folder, {"millis.csv", "--time", "timeMs", "--scale", "1ms"}, 1),
+        "its clock seems to begin again in line 4: import the part above it (head -n 3 millis.csv >table.csv) and"));
     folder.write("wide.csv", std::string("t\0,\0v\0\n\0001\0,\0002\0\n\0", 16));
     CHECK(has(import(folder, {"wide.csv", "--time", "t"}, 1), "it is UTF-16: convert the file: iconv -f UTF-16LE"));
     for (const char* const name : {"lab.db", "millis.db", "wide.db"}) CHECK_FALSE(folder.has(name));
@@ -474,7 +474,7 @@ TEST_SUITE("app") {
       std::filesystem::remove(folder.path() + "/u.db");
     }
     folder.write("u.csv", "t (ticks),v\n0,1\n100,2\n");
-    CHECK(has(import(folder, {"u.csv", "--time", "t"}, 1), "says ticks, which is no unit of time that is known"));
+    CHECK(has(import(folder, {"u.csv", "--time", "t"}, 1), "says ticks, which is not a known unit of time"));
     folder.write("u.csv", "time_ms,v\n0,1\n100,2\n");
     CHECK(has(import(folder, {"u.csv", "--time", "time_ms", "--scale", "1 s"}), "to 1970-01-01T00:01:40"));
     folder.write("unix.csv", "time (UTC),v\n1795665132,1\n1795665133,2\n");
@@ -513,7 +513,7 @@ TEST_SUITE("app") {
     const Folder folder;
     folder.write("de.csv", "t;v\n0;1.234,50\n1;12,5\n");
     const std::string said = import(folder, {"de.csv", "--time", "t", "--separator", ";", "--decimal", ","});
-    CHECK(has(said, "if \".\" stands between thousands, write --thousands \".\""));
+    CHECK(has(said, "if \".\" is between thousands, write --thousands \".\""));
     CHECK_FALSE(has(said, "--none"));
     folder.write("us.csv", "t,temp,volts\n0,71.2F,0.1 VDC\n1,72F,12 VDC\n");
     CHECK(has(import(folder, {"us.csv", "--time", "t"}), "to have the numbers, write --strip \"F\""));
@@ -540,7 +540,7 @@ TEST_SUITE("app") {
     folder.write("pipe.csv", "t,v\n0,1\n");
     Process piped(folder, "/bin/sh", {"-c", "cat pipe.csv | " + program + " import /dev/stdin --time t"});
     CHECK(piped.end() == 1);
-    CHECK_MESSAGE(has(piped.err, "it is no file that can be read twice"), piped.err);
+    CHECK_MESSAGE(has(piped.err, "it cannot be read twice"), piped.err);
   }
 
   TEST_CASE("import: rows out of order are sorted when it is said, and counted") {
@@ -577,7 +577,8 @@ TEST_SUITE("app") {
               "bare.csv:1: 4 cells, where --columns names 2"));
     CHECK(has(import(folder, {"bare.csv", "--time", "T", "--separator", "tab", "--columns", "t,alt,V"}, 1),
               "there is no column T: did you mean t?"));
-    CHECK(has(import(folder, {"bare.csv", "--time", "t", "--columns", "t", "--head", "2"}, 1), "choose one of them"));
+    CHECK(
+        has(import(folder, {"bare.csv", "--time", "t", "--columns", "t", "--head", "2"}, 1), "--head needs a heading"));
     check_nothing_made(folder);
     import(folder,
            {"bare.csv", "--time", "t", "--separator", "tab", "--columns", "t [s],\"alt, AGL [ft]\",battery (V)"});
@@ -717,7 +718,7 @@ TEST_SUITE("app") {
     const Folder folder;
     folder.write("amps.csv", "t,cpu,load\n0,5 B,990 mA\n1,6 B,1.005 A\n");
     CHECK(has(import(folder, {"amps.csv", "--time", "t", "--strip", "B", "mA", "A"}, 1),
-              "amps.csv:3: \"1.005 A\" in column load has A, and rows above have mA: --strip would take off"));
+              "amps.csv:3: \"1.005 A\" in column load has A, and rows above have mA: --strip would remove the unit"));
     CHECK_FALSE(folder.has("amps.db"));
     folder.write("amps.csv", "t,load,volts\n0,990 mA,3 V\n1,995 mA,4 V\n");
     import(folder, {"amps.csv", "--time", "t", "--strip", "mA", "A", "V"});
@@ -727,10 +728,10 @@ TEST_SUITE("app") {
     CHECK(has(said, "column lat is text, with numbers such as \"33.85S\": of south and west, make negative"));
     CHECK_FALSE(has(said, "--strip \"S\""));
     CHECK_FALSE(has(said, "--strip \"W\""));
-    CHECK(has(said, "if W is a unit, --strip takes it off"));
+    CHECK(has(said, "if W is a unit, --strip removes it"));
     std::filesystem::remove(folder.path() + "/south.db");
     CHECK(has(import(folder, {"south.csv", "--time", "t", "--strip", "S", "W"}, 1),
-              "south.csv:2: \"33.85S\" in column lat is south, which --strip S would take off: make negative numbers"));
+              "south.csv:2: \"33.85S\" in column lat is south, which --strip S would remove: make negative numbers"));
     CHECK_FALSE(folder.has("south.db"));
     import(folder, {"south.csv", "--time", "t", "--strip", "W"});
     CHECK(has(rows_of(folder, "south.db"), "south,2,33.86S,451\n"));
@@ -851,13 +852,13 @@ TEST_SUITE("app") {
     folder.write("three.csv", rows + "\n\n");
     CHECK(has(import(folder, {"three.csv", "--rate", "3"}), "to 1970-01-01T00:16:40.000000000Z"));
     folder.write("gap.csv", "a\n1\n\n3\n");
-    CHECK(has(import(folder, {"gap.csv", "--rate", "3"}, 1), "gap.csv:3: it is empty, and whether a row is missing"));
+    CHECK(has(import(folder, {"gap.csv", "--rate", "3"}, 1), "gap.csv:3: the line is empty; with --rate or --step"));
     CHECK(has(import(folder, {"gap.csv"}, 1), "--time is not given: write --time"));
     CHECK(has(import(folder, {"gap.csv", "--rate", "3", "--time", "a"}, 1), "more than one of --time, --rate and"));
     CHECK(has(import(folder, {"gap.csv", "--rate", "3", "--step", "1s"}, 1), "more than one of --time, --rate and"));
     CHECK(has(import(folder, {"gap.csv", "--rate", "3", "--zone", "Z"}, 1), "have no times of their own"));
     CHECK(has(import(folder, {"gap.csv", "--rate", "1e12"}, 1), "less than 1 ns apart"));
-    CHECK(has(import(folder, {"gap.csv", "--rate", "0"}, 1), "\"0\" is no number above 0"));
+    CHECK(has(import(folder, {"gap.csv", "--rate", "0"}, 1), "\"0\" is not a number above 0"));
     CHECK_FALSE(folder.has("gap.db"));
   }
 
@@ -892,7 +893,7 @@ TEST_SUITE("app") {
     CHECK(has(import(folder, {"semi.csv", "--time", "t", "--comment", "#"}, 1), "write --separator \";\""));
     folder.write("vrm.csv", "timestamp,Grid\nBerlin (+02:00),L1\n2026-10-25 01:45:00,1\n");
     CHECK(has(import(folder, {"vrm.csv", "--time", "timestamp", "--head", "2"}, 1),
-              "of --head 2 it is --time \"timestamp Berlin (+02:00)\""));
+              "with --head 2 write --time \"timestamp Berlin (+02:00)\""));
     folder.write("desc.csv", "t,v\n1772622000,1\n1772621880,2\n");
     CHECK(has(import(folder, {"desc.csv", "--time", "t"}, 1), "sort the rows by time: write --sort"));
     CHECK_FALSE(folder.has("desc.db"));

@@ -304,7 +304,8 @@ TEST_SUITE("app") {
     refuses({"empty.csv", "--time", "t"}, "it is empty");
     refuses({"head.csv", "--time", "t"}, "it has no rows");
     folder.write("nan.csv", "t,v\n0,1\nnan,2\n");
-    refuses({"nan.csv", "--time", "t"}, "nan.csv:3: \"nan\" in column t is not a time: a number, or a time as");
+    refuses({"nan.csv", "--time", "t"},
+            "nan.csv:3: \"nan\" in column t is not a time: write a number, or a time such as");
     folder.write("late.csv", "t,v\n0,1\n40000000,2\n");
     refuses({"late.csv", "--time", "t", "--start", "2261-01-01T00:00:00Z"}, "late.csv:3: \"40000000\"");
     refuses({"late.csv", "--time", "t", "--start", "2261-01-01T00:00:00Z"}, "to 2261: check --start\n");

@@ -67,7 +67,7 @@ TEST_SUITE("app") {
       CHECK(has(field.process.err, "there is no such field: did you mean number?"));
     }
     CHECK(Said(folder, {"plot", "nothing.db", "x"}).status != 0);
-    CHECK(has(Said(folder, {"plot", "count/a", "--run", "1"}).process.err, "--run is of recordings"));
+    CHECK(has(Said(folder, {"plot", "count/a", "--run", "1"}).process.err, "--run works only with recordings"));
     CHECK(has(Said(folder, {"plot", "count/a", "--last", "2 d"}).process.err, "1 s to 1 h"));
     {  // until it ends
       Process seen(folder, program_of_views, {"plot", "rig", "count/a"}, Process::Output::one_terminal);

@@ -558,7 +558,7 @@ TEST_SUITE("app") {
     CHECK_FALSE(std::filesystem::exists(folder.path() + "/bench.jsonl"));  // it looks, and makes nothing
 
     // A sensor waits for its device; an output begins as failed, as `run` says, too, unless its device is required.
-    CHECK(run.out.find("this part has no data until that is mended") != std::string::npos);
+    CHECK(run.out.find("this part has no data until this is fixed") != std::string::npos);
     folder.write("valve.json", R"({"sensors": [{"name": "l", "type": "host", "quantity": "load", "rate": "1 Hz"}],
       "outputs": [{"name": "valve", "type": "serial", "device": "/dev/does-not-exist"}]})");
     Process valve(folder, shipped, {"doctor", "valve.json"});

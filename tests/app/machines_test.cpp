@@ -90,7 +90,7 @@ TEST_SUITE("app") {
     CHECK(has(dot.out, "digraph \"m\" {"));
     CHECK(has(dot.out, "\"b\" -> \"a\" [label=\"back\"];"));
     CHECK(done(folder, {"graph", "rig.json", "--machine", "x"}).err ==
-          "rtdata: rig.json has no machine \"x\"; there are m, n\n");
+          "rtdata: rig.json has no machine \"x\"; available: m, n\n");
     folder.write("bad.json", R"({"machines": [{"name": "m", "start": "a", "states": [{"name": "b"}]}]})");
     const Done bad = done(folder, {"graph", "bad.json"});
     CHECK(bad.status == 2);
@@ -138,7 +138,7 @@ TEST_SUITE("app") {
       CHECK(run.end() == 128 + SIGKILL);
     }
     Done again = done(folder, {"run", "rig.json", "--for", "300ms"});
-    CHECK_MESSAGE(has(again.err, "machine m: it goes on in b, after a pause of"), again.err);
+    CHECK_MESSAGE(has(again.err, "machine m: it continues in b, after a pause of"), again.err);
     Changes changes = changes_in(folder, "run.db", "m");
     CHECK(changes.to == std::vector<std::string>{"a", "b", "b"});
 
@@ -158,7 +158,7 @@ TEST_SUITE("app") {
     forget_boot();
     folder.write("rig.json", resumes("1 min", "resume"));
     again = done(folder, {"run", "rig.json", "--for", "300ms"});
-    CHECK_MESSAGE(has(again.err, "it goes on in b, after a pause of unknown length"), again.err);
+    CHECK_MESSAGE(has(again.err, "it continues in b, after a pause of unknown length"), again.err);
   }
 
   TEST_CASE(

@@ -551,7 +551,7 @@ TEST_SUITE("app") {
       CHECK(check(R"({"listen": "0.0.0.0:8080", "behind_tls_proxy": true)" + commands + "}").starts_with("0 "));
       const std::string refused = check(R"({"listen": "0.0.0.0:8080")" + commands + "}");
       CHECK(refused.starts_with("2 "));
-      CHECK(has(refused, "\"" + command + "\" goes unencrypted"));
+      CHECK(has(refused, "\"" + command + "\" is sent unencrypted"));
     }
     CHECK(check(R"({"listen": "[::]:8080", "commands": ["note", "ack", "event"]})").starts_with("0 "));
     CHECK(has(check(R"({"listen": "127.0.0.1:8080", "token": "short"})"), "could be guessed"));

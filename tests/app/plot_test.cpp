@@ -247,7 +247,7 @@ lost of room/climate in run 1: missed 4, failed 2
     CHECK(has(refused("room/climate.temprature"), "did you mean temperature?"));
     CHECK(has(refused("room/climat.temperature"), "did you mean room/climate.temperature?"));
     CHECK(has(refused("room/climat"), "did you mean room/climate?"));
-    CHECK(has(refused("nowhere"), "there is every/thing, room/climate"));
+    CHECK(has(refused("nowhere"), "available: every/thing, room/climate"));
     const Shown all = plotted(path, {});
     CHECK(all.status == 0);
     CHECK(all.err == "");

@@ -708,7 +708,7 @@ TEST_SUITE("app") {
               "there is no sensor type \"bme280\"; it is type \"barometer\" with \"model\": \"bme280\" (did you "
               "mean \"barometer\"?)"));
     CHECK(has(check.out, "there is no sensor type \"pt100\" (did you mean \"max31865\"?)"));
-    CHECK(has(check.out, "there is no sensor type \"thermocouple\"; there are max31855, max31856\n"));
+    CHECK(has(check.out, "there is no sensor type \"thermocouple\"; available: max31855, max31856\n"));
     CHECK(has(check.out, "there is no sink type \"csv\" (did you mean \"file\"?)"));
   }
 
@@ -723,16 +723,15 @@ TEST_SUITE("app") {
     CHECK(check.end() == 2);
     INFO(check.out);
     CHECK(has(check.out, "buses.i.address: unknown key here: it belongs to the sensor that is on this bus"));
-    CHECK(
-        has(check.out, "sensors[0].calibration: unknown key here: it belongs into `process`, below the field's name"));
+    CHECK(has(check.out, "sensors[0].calibration: unknown key here: it belongs in `process`, below the field's name"));
     CHECK(has(check.out, "sensors[0].timeout: unknown key here: it belongs to the bus"));
     CHECK(has(check.out, "sensors[1].device: unknown key here: a chip names its bus with `bus`"));
     CHECK_FALSE(has(check.out, "\"rate\" is missing"));  // it is there, under another name
-    CHECK(has(check.out, "sensors[1].interval: unknown key here: how often it is read is its `rate`"));
+    CHECK(has(check.out, "sensors[1].interval: unknown key here: set how often it is read with `rate`"));
     CHECK(has(check.out, "sinks[0].filename: unknown key here: the file is named by `path`"));
     CHECK(has(check.out, "sinks[0].topic: unknown key here: a sink has `topics`"));
 #ifdef RTDATA_WITH_GPIO
-    CHECK(has(check.out, "sensors[2].filter: unknown key here: filters belong into `process`"));
+    CHECK(has(check.out, "sensors[2].filter: unknown key here: filters belong in `process`"));
     CHECK(has(check.out, "sensors[2].pin: unknown key here: the GPIO line is named by `line`"));
 #endif
   }
@@ -763,8 +762,9 @@ TEST_SUITE("app") {
     const Folder folder;
     Process other(folder, shipped, {"init", "first.yaml"});
     CHECK(other.end() == 1);
-    CHECK(has(other.err,
-              "first.yaml: `rtdata run` reads no configuration with this extension: let its name end with .json"));
+    CHECK(
+        has(other.err,
+            "first.yaml: `rtdata run` reads no configuration with this extension: choose a name that ends with .json"));
     CHECK(folder.read("first.yaml").empty());
     Process deep(folder, shipped, {"init", "sub/first.json"});
     CHECK(deep.end() == 1);
@@ -912,7 +912,7 @@ TEST_SUITE("app") {
         {{"vrify", "bench.db"},
          "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
         {{"measure", "x"},
-         "rtdata: there is no command \"measure\"; there are init, run, top, tail, ctl, scan, doctor, bench, check, "
+         "rtdata: there is no command \"measure\"; available: init, run, top, tail, ctl, scan, doctor, bench, check, "
          "calibrate, graph, types, explain, verify, info, plot, report, runs, seal, rm, merge, compare, " +
              view +
              "export, replay, import, forward; "

@@ -117,7 +117,7 @@ TEST_SUITE("app") {
       {"name": "c", "type": "tallied", "rate": "10 Hz"})" +
                                  rest);
     const std::string said = reloaded(folder, built("rtdata"), {}, 1);
-    CHECK_MESSAGE(has(said, "rig.json is applied, but for this: not made: sensor a ("), said);
+    CHECK_MESSAGE(has(said, "rig.json is applied, except for this: not made: sensor a ("), said);
     CHECK(has(said, "the loop has begun to do what was asked, and may still finish"));
     for (const char* sensor : {"b", "c"}) {  // the main loop goes on, and has what comes after it
       Process stop(folder, built("rtdata"), {"ctl", "stop", sensor});
@@ -230,7 +230,7 @@ TEST_SUITE("app") {
       folder.write("rig.json", text("200 Hz", R"({"type": "discard"})"));
       run.signal(SIGHUP);
       REQUIRE(run.wait_for("nothing was changed: the reload would close run.db, which cannot store its queue now"));
-      REQUIRE(run.wait_for("mend the cause"));
+      REQUIRE(run.wait_for("fix the cause"));
     }
     run.signal(SIGHUP);
     REQUIRE(run.wait_for("sink run.db: removed"));

@@ -79,11 +79,11 @@ TEST_SUITE("app") {
       CHECK_FALSE(has(run.err, "malformed"));
       const std::string error = is_pulled ? "error: sink stick/run.db: cannot use the recording: "
                                           : "error: sink stick/run.db: recording has ended: stick/run.db: the file was "
-                                            "deleted or moved: leave it where it is while it is recorded into";
+                                            "deleted or moved: do not move or delete it during recording";
       CHECK(has(run.err, error));
       CHECK(has(run.err, is_pulled
                              ? "error: sink stick/run.jsonl: cannot write the file: stick/run.jsonl: Input/output error"
-                             : "error: sink stick/run.jsonl: the disk of the file was taken away: stick/run.jsonl"));
+                             : "error: sink stick/run.jsonl: the disk of the file was removed: stick/run.jsonl"));
       if (!is_pulled) CHECK(std::filesystem::is_empty(stick.path()));             // nothing is written beside it
       if (!is_pulled) CHECK(count_of(run.err, "error: sink stick/run.db") == 1);  // the other is tried again and again
 

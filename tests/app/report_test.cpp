@@ -235,7 +235,7 @@ it was not forged.
 <p>Nothing.</p>
 
 <h2>Curves</h2>
-<p class="small">A line is the mean of each 2 ms, and the area about it all from the least to the most. Red: nothing is there.</p>
+<p class="small">A line shows the mean of each 2 ms, and the area around it the range from least to most. Red: data is missing.</p>
 <figure><figcaption><span><b>room.temperature</b> <span class="unit">[Cel]</span></span><span class="there">all there</span><span class="range">always 20 over all of the time</span></figcaption>
 <-></figure>
 <figure><figcaption><span><b>room.humidity</b> <span class="unit">[%RH]</span></span><span class="there">all there</span><span class="range">always 50 over all of the time</span></figcaption>
@@ -536,7 +536,7 @@ it was not forged.
     const Made long_run = made(day);
     CHECK_PAGE(long_run);
     CHECK(times_in(long_run.page, "<figure>") == 20);
-    CHECK(has(long_run.page, "A line is the mean of each 2 min"));
+    CHECK(has(long_run.page, "A line shows the mean of each 2 min"));
     CHECK(has(long_run.page, "least 0 at 22:13:00, most 144 at 2023-11-15 22:13:00, mean "));
     CHECK(has(long_run.page, "are the beginning of the minute."));
     CHECK(long_run.page.size() < 3'000'000);
@@ -567,8 +567,8 @@ it was not forged.
     CHECK(first.page.starts_with("run.html ("));
     CHECK(
         first.page.ends_with("): run 1, balanced\n  nothing lost: 20 rows\n"
-                             "  not detectable: what the sources of a lost before it came here: they do not "
-                             "number it\n"));
+                             "  not detectable: losses in the sources of a, which do not number their "
+                             "samples\n"));
     const std::string page = folder.read("run.html");
     CHECK(mistakes_in(page) == "");
     folder.write("run.html", "mine");

@@ -206,7 +206,8 @@ TEST_CASE(
   CHECK(fake.wait_for("STOPPING=1"));
   run.signal(SIGTERM);
   CHECK(run.end() == 1);
-  CHECK(run.err.find("SIGTERM: the queued events are being stored already (again: ends at once)") != std::string::npos);
+  CHECK(run.err.find("SIGTERM: the queued events are already being stored (a second one ends the program at once; they "
+                     "are then lost)") != std::string::npos);
   CHECK(run.out.find(" events were NOT stored; LOST: ") != std::string::npos);
   CHECK(run.out.find(" dropped by sinks (a): refused; taken: ") != std::string::npos);
   CHECK(run.out.find("; ledger balances\n") != std::string::npos);

@@ -171,6 +171,6 @@ TEST_SUITE("app") {
     CHECK(lines_of(ended({"run.db", "--last", "450ms"}, 0)).size() == 1 + 4);
     CHECK(lines_of(ended({"./run.db", "--from", "0", "--json"}, 0)).size() == 1 + 10);
     CHECK(has(ended({"none.db", "--last", "450ms"}, 2), "No such file"));
-    CHECK(has(ended({"none", "--last", "450ms"}, 1), "--last is of recordings"));
+    CHECK(has(ended({"none", "--last", "450ms"}, 1), "--last works only with recordings"));
   }
 }

@@ -252,7 +252,7 @@ try {
     await until(shown, () => Charts.allGaps().length > 0);
     first.child.kill("SIGKILL");
     await first.child.ended;
-    await until(shown, () => document.getElementById("top").classList.contains("silent") && /nothing heard/.test(document.getElementById("connection").textContent));
+    await until(shown, () => document.getElementById("top").classList.contains("silent") && /no data for/.test(document.getElementById("connection").textContent));
     configured("second", "memory");
     const again = Date.now(), second = start("run", "again.json");
     await second.address;
@@ -382,7 +382,7 @@ try {
     await isLive(viewed);
     recorder.child.kill("SIGKILL");
     await recorder.child.ended;
-    await until(viewed, () => document.getElementById("connection").textContent === "recording at rest");
+    await until(viewed, () => document.getElementById("connection").textContent === "recording (not running)");
     await until(viewed, () => /as far as is known/.test(document.getElementById("lost").textContent));
     await viewed.close();
     viewing.child.kill("SIGTERM");
@@ -416,14 +416,14 @@ try {
       const viewing = start("view", name, "--listen", "127.0.0.1:0");
       const address = await viewing.address;
       const shown = await open(address.replace("#", "#range=all&"));
-      await until(shown, () => document.getElementById("connection").textContent === "recording at rest");
+      await until(shown, () => document.getElementById("connection").textContent === "recording (not running)");
       await until(shown, () => Charts.charts.length && Charts.charts[0].drawn.length > 5);
       act(join(folder, name));
       await shown.select("#range", "10 min");
       await until(shown, () => document.getElementById("history").textContent.length > 10 && document.getElementById("history").className === "bad");
       await until(shown, () => document.getElementById("failed").textContent.length > 10);
       assert.match(await text(shown, "#history"), /recording|database|file|\.db/);
-      assert.equal(await text(shown, "#connection"), "recording at rest");  // the connection is not what fails
+      assert.equal(await text(shown, "#connection"), "recording (not running)");  // the connection is not what fails
       // Who comes now is told as well.
       const other = await open(address);
       await until(other, () => document.getElementById("failed").textContent.length > 10);

@@ -195,7 +195,7 @@ try {
     await until(page, () => document.getElementById("top").classList.contains("silent"));
     const rest = start("view", "bench.db", "--listen", "127.0.0.1:0");
     const still = await open((await rest.address).replace("#", "#range=all&"));
-    await until(still, () => document.getElementById("connection").textContent === "recording at rest");
+    await until(still, () => document.getElementById("connection").textContent === "recording (not running)");
     await until(still, () => Charts.charts.length > 0 && Charts.charts[0].drawn.length > 10);
     await until(still, () => /lost since the start: [1-9]/.test(document.getElementById("lost").textContent));
     await until(still, () => /^run 1/.test(document.getElementById("run").textContent));

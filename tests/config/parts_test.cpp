@@ -163,7 +163,7 @@ TEST_SUITE("config") {
   {"name": "f", "type": "probe", "rate": "2 MHz", "bus": "gone"},
   {"name": "g", "type": "probe", "rate": "1 Hz", "bus": "l"}]})") ==
           "f.json:2:27: buses.w1: this key is already at f.json:1:32\n"
-          "f.json:2:66: buses.l.type: there is no bus type \"i2c\"; there are loopback, wire, other\n"
+          "f.json:2:66: buses.l.type: there is no bus type \"i2c\"; available: loopback, wire, other\n"
           "f.json:2:74: buses[\"\"]: a name has 1 to 200 characters of UTF-8 and no control characters\n"
           "f.json:2:120: buses.n.name: unknown key; known here are type\n"
           "f.json:3:68: sensors[0].bus: there is no bus \"w11\" in `buses` (did you mean \"w1\"?)\n"

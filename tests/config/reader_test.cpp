@@ -68,9 +68,9 @@ class IniFormat final : public ConfigFormat {
 
 TEST_SUITE("config") {
   TEST_CASE("US-19 a syntax error has line, column, path and a sentence") {
-    CHECK(mistake("{\"a\": 1,}") == "1:8: there is a comma too many before '}'");
-    CHECK(mistake("[1,\n 2,\n]") == "2:3: there is a comma too many before ']'");
-    CHECK(mistake("[1,,2]") == "1:4: there is a comma too many");
+    CHECK(mistake("{\"a\": 1,}") == "1:8: there is an extra comma before '}'");
+    CHECK(mistake("[1,\n 2,\n]") == "2:3: there is an extra comma before ']'");
+    CHECK(mistake("[1,,2]") == "1:4: there is an extra comma");
     CHECK(mistake("{\"a\": 1\n \"b\": 2}") ==
           "2:2: expected ',' or '}', found the string \"b\"; is a comma missing before it?");
     CHECK(mistake("{\"a\" 1}") == "1:6: expected ':' after the key, found '1'");
@@ -95,9 +95,8 @@ TEST_SUITE("config") {
     CHECK(mistake("{\"a\":\n  [1, {\"y\": [") ==
           "2:14: a[1].y: the file ends here, but the list that begins at line 2, column 13 is not closed");
     CHECK(mistake("{\"a\": \"abc\n}") == "1:7: this string is not closed: its second '\"' is missing on this line");
-    CHECK(mistake("[\"a\tb\"]").starts_with("1:4: this character cannot stand in a string: control character U+0009"));
-    CHECK(mistake("[\"a\\qb\"]") ==
-          "1:5: this character cannot stand in a string: forbidden character after backslash");
+    CHECK(mistake("[\"a\tb\"]").starts_with("1:4: this character cannot be in a string: control character U+0009"));
+    CHECK(mistake("[\"a\\qb\"]") == "1:5: this character cannot be in a string: forbidden character after backslash");
     CHECK(mistake("[1 /* x ]") == "1:4: this comment is not closed: there is no '*/'");
     CHECK(mistake("[1, / 2]") == "1:5: a '/' alone is not a comment: write // or /* */");
     CHECK(mistake("{} {}") == "1:4: the configuration has ended, but here is '{'");
@@ -230,7 +229,7 @@ TEST_SUITE("config") {
       CHECK(text_of(closed) == closed + ": cannot read the configuration: Permission denied\n");
     CHECK(text_of(folder.file("x.yaml", "a: 1")) == folder.path +
                                                         "/x.yaml: no configuration format has the extension "
-                                                        "\".yaml\"; there are .json, .jsonc\n");
+                                                        "\".yaml\"; available: .json, .jsonc\n");
     CHECK(load_config("/dev/zero").problems[0].id == "too-large");
     CHECK_THROWS_AS((void)load_config("/nowhere/x.json").or_throw(), ConfigError);
   }

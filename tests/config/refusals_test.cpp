@@ -235,8 +235,9 @@ TEST_SUITE("config") {
               "this program does not: write \"/home/ann/bench.db\""));
     CHECK(has(said(R"({"sinks": [{"type": "file", "path": "~/bench.csv"}]})"), "write \"/home/ann/bench.csv\""));
     for (const char* port : {"COM3", "com12"})
-      CHECK(has(said(R"({"buses": {"b": {"type": "serial", "device": ")" + std::string(port) + "\"}}}"),
-                "\"" + std::string(port) + "\" is a name of Windows; here a serial device is such as /dev/ttyUSB0"));
+      CHECK(
+          has(said(R"({"buses": {"b": {"type": "serial", "device": ")" + std::string(port) + "\"}}}"),
+              "\"" + std::string(port) + "\" is a Windows name; here a serial device has a name such as /dev/ttyUSB0"));
     CHECK(has(said(R"({"sensors": [{"name": "s", "type": "serial", "device": "/dev/ttyS0", "fields": ["force"]}]})"),
               "sensors[0].fields[0]: expected an object, got the string \"force\"; write {\"name\": \"force\"}"));
     CHECK(has(said(line(R"(, "rate": "10 Hz")")), "a serial line takes every line that comes: it has no rate"));
@@ -245,7 +246,7 @@ TEST_SUITE("config") {
     const std::string schema = said(
         R"({"sinks": [{"type": "postgresql", "url": "postgresql://rt@db.example/plant", "schema": "pg_x"}]})");
     if (!has(schema, "there is no sink type"))
-      CHECK(has(schema, "sinks[0].schema: names that begin with pg_ are the server's own; choose another"));
+      CHECK(has(schema, "sinks[0].schema: names that begin with pg_ are reserved for the server; choose another"));
     // A unit that is none is a warning, which is not held back until the mistake is mended.
     const std::string both = said(R"({"sensors": [{"name": "s", "type": "serial", "device": "/dev/ttyS0", "fields": [)"
                                   R"({"name": "x", "unit": "Bar"}], "rat": 1}]})");
@@ -389,7 +390,7 @@ TEST_SUITE("config") {
         {sinks(R"({"type": "file", "path": "x", "format": "jsnol"})"),
          "there is no format \"jsnol\" (did you mean \"jsonl\"?)"},
         {sinks(R"({"type": "tcp", "host": "a", "port": 1, "format": "jsnol"})"), "did you mean \"jsonl\"?"},
-        {sinks(R"({"type": "tcp", "host": "a", "port": 1, "format": "csv"})"), "do not say which topic they are of"},
+        {sinks(R"({"type": "tcp", "host": "a", "port": 1, "format": "csv"})"), "do not contain the topic"},
         {sinks(R"({"type": "tcp", "host": "http://a", "port": 1})"), "it is a URL"},
         {sinks(R"({"type": "tcp", "host": "a", "port": 0})"), "port"},
         {sinks(R"({"type": "udp", "host": "a b"})"), "it is neither a host name nor an address"},
@@ -542,7 +543,7 @@ TEST_SUITE("config") {
                          {"name": "c", "type": "host", "quantity": "load", "rate": "1 Hz"},
                          {"name": "d", "type": "host", "quantity": "load", "rate": "1 Hz"}],
              "sinks": [{"type": "file", "path": "all.csv"}]})",
-         "cannot record topic b (and 2 more): all.csv: the columns of a file are those of one topic"},
+         "cannot record topic b (and 2 more): all.csv: a file has the columns of one topic"},
         {process(R"("minutes_1": {"filters": [{"type": "throttle", "time": "1 s", "by": 3}]})"),
          "a filter of this type has no such setting"},
         {process(R"("minutes_1": {"filters": [{"type": "median", "of": 3, "weight": 0.5}]})"),

@@ -78,7 +78,7 @@ TEST_SUITE("config") {
     CHECK(problems_of(R"({"type": "analgo"})") ==
           "f.json:1:10: type: there is no sensor type \"analgo\" (did you mean \"analog\"?)\n");
     CHECK(problems_of(R"({"type": "lidar"})") ==
-          "f.json:1:10: type: there is no sensor type \"lidar\"; there are analog, gpsd\n");
+          "f.json:1:10: type: there is no sensor type \"lidar\"; available: analog, gpsd\n");
     CHECK(problems_of(R"({"name": "x"})") ==
           "f.json:1:1: \"type\" is missing: the type of the sensor, one of analog, gpsd\n");
     CHECK(problems_of(R"({"type": 5})") == "f.json:1:10: type: expected a string, got the number 5\n");

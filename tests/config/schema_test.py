@@ -37,7 +37,7 @@ BEYOND_A_SCHEMA = [
     "it does not say which device", "has no width", "no field has a name", "among the fields", "is there twice",
     "every event has a", "SQLite has that name", "only a float or double", "a field of JSON has no name", "need more than 4 KiB",
     "or 0 for no limit",  # a least value, or none
-    "there is no format", "without `rotate` there is one", "needs a `priority`", "a priority goes with", "give `cpu` or `cpus`",
+    "there is no format", "`keep` needs `rotate`", "needs a `priority`", "have a priority", "give `cpu` or `cpus`",
     "already at",  # a key that is there twice
     "`password` needs a `user`", "it has no effect without", "begins with -----BEGIN", "there is no sslmode", "there is no port",
     "in the manual of libpq", "a text of MQTT has at most",  # of other libraries and protocols

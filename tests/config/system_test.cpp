@@ -349,7 +349,7 @@ f.json:16:38: sinks[2].when_full
  "wrong": {"policy": "realtime"}},
  "sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz", "tier": "fsat"}]})") ==
           "f.json:1:31: tiers.fast.policy: policy \"fifo\" needs a `priority` from 1 to 99\n"
-          "f.json:1:61: tiers.slow.priority: a priority goes with the policies \"fifo\" and \"rr\" only\n"
+          "f.json:1:61: tiers.slow.priority: only the policies \"fifo\" and \"rr\" have a priority\n"
           "f.json:1:80: tiers.odd.cpu: give `cpu` or `cpus`, not both\n"
           "f.json:2:22: tiers.wrong.policy: expected one of other, fifo, rr, got the string \"realtime\"\n"
           "f.json:3:71: sensors[0].tier: there is no tier \"fsat\" in `tiers` (did you mean \"fast\"?)\n");
@@ -416,7 +416,7 @@ f.json:16:38: sinks[2].when_full
     REQUIRE(plan.warnings.size() == 1);
     CHECK(plan.warnings.begin()->id == "overloaded-lane");
     CHECK(plan.warnings.begin()->text().find(
-              "f.json:3:40: sensors[1].rate: a device cannot be read so often (lane chip: 2 sensors, 90 %)") == 0);
+              "f.json:3:40: sensors[1].rate: a device cannot be read this often (lane chip: 2 sensors, 90 %)") == 0);
     CHECK(plan.loads()[0].worst == 15us);  // they come back at different times
   }
 

@@ -119,8 +119,8 @@ TEST_CASE("US-16 a lane is degraded while a job was given up, and ok after one t
   loop.script_lane_duration(200ms);
   REQUIRE(lane.submit(std::make_shared<Job>()));
   loop.advance(300ms);
-  CHECK(heard.texts ==
-        std::vector<std::string>{"lane /dev/i2c-1 degraded: a job outlived its limit of 100 ms and was given up"});
+  CHECK(heard.texts == std::vector<std::string>{
+                           "lane /dev/i2c-1 degraded: a job took longer than its limit of 100 ms and was given up"});
   loop.script_lane_duration(10ms);
   REQUIRE(lane.submit(std::make_shared<Job>()));
   loop.advance(300ms);

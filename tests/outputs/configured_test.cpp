@@ -111,8 +111,8 @@ TEST_SUITE("outputs") {
       return all;
     };
     CHECK(problems_of(pwm(OutputGuard::most_outputs)).empty());
-    CHECK(
-        is_refused(pwm(OutputGuard::most_outputs + 2), "more outputs than the guard of outputs takes, which is 1024"));
+    CHECK(is_refused(pwm(OutputGuard::most_outputs + 2),
+                     "more outputs than the guard of outputs accepts, which is 1024"));
     const auto serial = [](std::size_t bytes) {
       return R"({"name": "s", "type": "serial", "device": "/dev/ttyX", "text": ")" + std::string(bytes, 'x') +
              R"({value}"})";

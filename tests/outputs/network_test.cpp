@@ -187,7 +187,7 @@ TEST_SUITE("outputs") {
     };
     const std::string told = two(R"("url": "http://x/secret-path")",
                                  R"("url": "http://x/secret-path", "timeout": "500 ms")");
-    CHECK(told.find("has the server http://x already; two outputs that send the same requests") != std::string::npos);
+    CHECK(told.find("has the server http://x already; two outputs with the same requests") != std::string::npos);
     CHECK(told.find("secret-path") == std::string::npos);
     CHECK(two(R"("url": "http://x/a")", R"("url": "http://x/b")").empty());
     CHECK(two(R"("url": "http://x/a", "text": "1={value}")", R"("url": "http://x/a", "text": "2={value}")").empty());

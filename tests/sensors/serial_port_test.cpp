@@ -581,7 +581,7 @@ TEST_SUITE("sensors") {
               .empty());
     const std::string line = R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}]})";
     CHECK(has(report(bus, line), "bus m, at f.json:1:"));
-    CHECK(has(report(bus, line), "has this device already; a device is one sensor's or one bus's alone"));
+    CHECK(has(report(bus, line), "has this device already; a device belongs to one sensor or one bus only"));
     // Sensors of one tier with the same settings share a device.
     const auto second = [&](const std::string& more) {
       return line + R"(, {"name": "k", "type": "serial", "device": "/dev/ttyUSB0", "fields": [{"name": "x"}])" + more +
@@ -589,7 +589,7 @@ TEST_SUITE("sensors") {
     };
     CHECK(report("", second("")).empty());
     CHECK(has(report("", second(R"(, "baud_rate": 4800)")), "sensor l, at f.json:1:"));
-    CHECK(has(report("", second(R"(, "baud_rate": 4800)")), "have the same `baud_rate` and so on, and the same tier"));
+    CHECK(has(report("", second(R"(, "baud_rate": 4800)")), "need the same `baud_rate` and so on, and the same tier"));
     const std::string ask = query(R"(, "request": "?")");
     CHECK(report(R"("m": {"type": "serial", "host": "scope.local", "port": 5025})", ask).empty());
     CHECK(has(report(R"("m": {"type": "serial"})", ask), "there is none of `device`, `host` and `run`"));

@@ -157,7 +157,7 @@ TEST_CASE("FW-5 an export of several runs says of each row which it is of, and s
         std::string::npos);
   std::ostringstream out, err;
   CHECK(app::export_recording({.database = path, .topic = "room/climate"}, out, err) == 0);
-  CHECK(err.str() == "rtdata: of 2 runs: `run` says of which each row is; --run takes one\n");
+  CHECK(err.str() == "rtdata: rows of 2 runs: `run` says to which one a row belongs; --run takes one\n");
   err.str("");
   CHECK(app::export_recording({.database = path, .topic = "room/climate", .run = "1"}, out, err) == 0);
   CHECK(err.str() == "");
@@ -320,13 +320,13 @@ TEST_CASE("export of what there is not says what there is, and makes nothing") {
     return text.find(part) != std::string::npos;
   };
   CHECK(has(refusal({.database = path, .topic = "nothere"}),
-            "it has no topic nothere; there is every/thing, room/climate"));
+            "it has no topic nothere; available: every/thing, room/climate"));
   CHECK(
       has(refusal({.database = path, .topic = "nothere", .folder = folder / "out"}), "see `rtdata info " + path + "`"));
   CHECK_FALSE(std::filesystem::exists(folder / "out"));
   CHECK(has(refusal({.database = path, .topic = "room/climate", .run = "99"}), "there is no run 99; its runs are 1"));
   CHECK(has(refusal({.database = path, .topic = "room/climate", .origin = "nope"}),
-            "it has nothing of origin nope on topic room/climate; there is room"));
+            "it has nothing of origin nope on topic room/climate; available: room"));
   CHECK(has(refusal({.database = path, .topic = "room/climate", .from = "2", .until = "1"}),
             "--from 2 --until 1: it ends before"));
   // What is there, without rows in that time.

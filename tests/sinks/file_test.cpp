@@ -152,7 +152,7 @@ TEST_SUITE("sinks") {
     bench.record(a_topic, 2, 1);
     CHECK(values(bench.directory / "x-a-1.csv", "csv") == std::vector<double>{1});
     CHECK(values(bench.directory / "x-a-2.csv", "csv") == std::vector<double>{2});
-    CHECK(bench.refusal({.path = bench.directory / "{run}/x.csv"}).find("{run} stands in the name of a directory") !=
+    CHECK(bench.refusal({.path = bench.directory / "{run}/x.csv"}).find("{run} is in the name of a directory") !=
           std::string::npos);
   }
 
@@ -224,7 +224,7 @@ TEST_SUITE("sinks") {
     starts({.path = directory + "/run", .format = "cvs"}, CodecRegistry::standard().make("cvs").error().text());
     starts({.path = directory + "/run.csv", .format = "csv"},
            "cannot record topic b/c: " + directory +
-               "/run.csv: the columns of a file are those of one topic, here a: write {topic}");
+               "/run.csv: a file has the columns of one topic, here a: write {topic}");
     std::ofstream(directory + "/other.csv") << "time,origin,sequence,speed\n1,a,1,2\n";
     starts(
         {.path = directory + "/other.csv", .format = "csv", .rotate = {.time = 24h * 360}, .sink = {.topics = {"a"}}},

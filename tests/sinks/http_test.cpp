@@ -438,7 +438,7 @@ TEST_CASE(
   HttpBench lost({.server = {.url = "http://no-such-host.invalid/x"}});
   lost.publish(1);
   CHECK(lost.is_faulted());
-  CHECK_MESSAGE(has(lost.reason(), "check the name"), lost.reason());
+  CHECK_MESSAGE(has(lost.reason(), "check the host name"), lost.reason());
   CHECK(lost.sink.counts().queued == 1);
 
   HttpServer server;

@@ -311,8 +311,8 @@ TEST_SUITE("sinks") {
         return once.size() >= 42;
       }));
       CHECK(once.size() == 42);
-      CHECK(
-          bench.has_error(version == MqttVersion::v311 ? "is larger than its limit for packets" : "size of the event"));
+      CHECK(bench.has_error(version == MqttVersion::v311 ? "is larger than the broker's packet limit"
+                                                         : "size of the event"));
       CHECK(bench.wait_for([&] { return sink.health() == Health::ok; }));
       CHECK(sink.counts().balances());
       CHECK(bench.loop.close(2s) == 0);

@@ -826,7 +826,7 @@ TEST_SUITE("sinks") {
               "plant/number: rows of run 1 ("));
     CHECK(has(problem_after("UPDATE rtdata_position SET topic = 'plant/other' WHERE topic = 'plant/number'",
                             "UPDATE rtdata_position SET topic = 'plant/number' WHERE topic = 'plant/other'"),
-              "but that table is of plant/number"));
+              "but that table belongs to plant/number"));
     CHECK(has(problem_after("UPDATE rtdata_topic SET version = 2 WHERE topic = 'plant/number'",
                             "UPDATE rtdata_topic SET version = 1 WHERE topic = 'plant/number'"),
               "has version 2 where 1 follows"));
@@ -936,7 +936,7 @@ TEST_SUITE("sinks") {
       program.loop.close();
     }
     const VerifyReport report = verify_server(config).or_throw();
-    CHECK(has(report.text(), "No account came along"));
+    CHECK(has(report.text(), "The account was not sent"));
     CHECK(report.verdict() == Verdict::unsealed);
     CHECK(report.runs.at(0).rows == 301);
     CHECK(has(report.text(), "2023-11-14T22:13:20Z to 2023-11-14T22:13:23Z"));  // of its rows

@@ -428,7 +428,7 @@ TEST_CASE("FW-5 a row whose end cannot be read is no row, and what lies before i
   break_end_of_row(path, 49'000 + 249 + 0.25);  // the last value of row 50
   const auto check_error = [](const Error& error) {
     CHECK(error.id() == "damaged");
-    CHECK_MESSAGE(error.where.find("topic many, behind run 1, sequence 49") != std::string::npos, error.where);
+    CHECK_MESSAGE(error.where.find("topic many, after run 1, sequence 49") != std::string::npos, error.where);
   };
   const auto recording = Recording::open(path).or_throw();
   auto rows = recording.rows({.topic = "many"}).or_throw();

@@ -302,8 +302,8 @@ TEST_SUITE("sinks") {
     CHECK(report(R"("rotate": {"bytes": 100})").find("out of range") != std::string::npos);
     CHECK(report(R"("rotate": {"time": "1 ms"})").find("out of range") != std::string::npos);
     CHECK(report(R"("rotate": {"size": 100000})").find("unknown key") != std::string::npos);
-    CHECK(report(R"("keep": 5)").find("without `rotate`") != std::string::npos);
-    CHECK(report(R"("rotate": {}, "keep": 5)").find("without `rotate`") != std::string::npos);
+    CHECK(report(R"("keep": 5)").find("`keep` needs `rotate`") != std::string::npos);
+    CHECK(report(R"("rotate": {}, "keep": 5)").find("`keep` needs `rotate`") != std::string::npos);
     Loop loop{Loop::Manual{}};
     CHECK_THROWS_AS(FileSink(loop, {.path = directory / "run.jsonl", .keep = 5}), SetupError);
     CHECK_THROWS_AS(FileSink(loop, {.path = directory / "run.jsonl", .rotate = {.bytes = 5}}), SetupError);

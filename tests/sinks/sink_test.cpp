@@ -218,7 +218,7 @@ TEST_SUITE("sinks") {
         if (entry.text.find(what) != std::string::npos) return entry.count;
       return std::uint64_t{0};
     };
-    CHECK(told("not kept: stretches of schedule") == more);
+    CHECK(told("not kept: segments of schedules") == more);
     CHECK(told("not kept: errors") == 3 * more);
     CHECK(told("not kept: pairs of clocks") == more);
     Account next;

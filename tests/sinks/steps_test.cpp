@@ -346,7 +346,7 @@ TEST_SUITE("sinks") {
          sqlite::columns_of(sqlite::Database::open(path, sqlite::Database::Mode::read), "climate~1min")) {
       if (column == "run" || column == "origin" || column == "time") continue;
       has(told("UPDATE \"climate~1min\" SET \"" + column + "\" = \"" + column + "\" + 1" + last),
-          "is another than its rows");
+          "does not agree with its rows");
     }
     has(told("UPDATE \"climate~1s\" SET time = time + 1" + tenth), "is not there");
     has(told("UPDATE \"climate~1s\" SET time = time + 1" + tenth), "is there, and none of its rows is");

@@ -173,7 +173,7 @@ TEST_SUITE("sinks") {
       CHECK(detail::is_readable(bytes_of(path)));
       REQUIRE(told.size() == 2);
       CHECK(told[0].find("a text is not UTF-8: topic note, origin pen: ") == 0);
-      CHECK(told[1].find(std::to_string(strange_texts) + " texts were no UTF-8: ") == 0);
+      CHECK(told[1].find(std::to_string(strange_texts) + " texts were not UTF-8: ") == 0);
     }
   }
 

@@ -353,13 +353,13 @@ TEST_CASE("US-26 verify says first of each run what was lost, of which topic and
   VerifyReport report = verified(path);
   CHECK(first_lines(report) ==
         "  nothing lost: 12 rows\n"
-        "  not detectable: what the sources of lab/board lost before it came here: they\n"
-        "                  do not number it\n"
+        "  not detectable: losses in the sources of lab/board, which do not number their\n"
+        "                  samples\n"
         "  12");
   CHECK(report.runs.at(0).lines ==
         std::vector<std::string>{"nothing lost: 12 rows",
-                                 "not detectable: what the sources of lab/board lost before it came here: they do "
-                                 "not number it"});
+                                 "not detectable: losses in the sources of lab/board, which do not number their "
+                                 "samples"});
   auto json = nlohmann::json::parse(report.to_json());
   CHECK(json["runs"][0]["nothing_lost"] == true);
   CHECK(json["runs"][0]["losses"].empty());
@@ -400,7 +400,7 @@ TEST_CASE("US-26 verify says first of each run what was lost, of which topic and
                         " samples of lab/board (lost by the source 10, dropped "
                         "by the queue " +
                         std::to_string(dropped) +
-                        ") and 1 outage of 1 s (how many samples did not come "
+                        ") and 1 outage of 1 s (the number of missing samples "
                         "is not known)\n"
                         "        3 ticks of room/climate (failed 3)\n"));
   json = nlohmann::json::parse(report.to_json());
@@ -680,7 +680,7 @@ TEST_CASE("US-26 a read that was under way when the recording began is carried i
   sql(path, "UPDATE rtdata_ledger SET carried = 0");
   CHECK(has(problems_of(verified(path)), "scheduled is"));
   sql(path, "UPDATE rtdata_ledger SET carried = 2, scheduled = scheduled - 1");
-  CHECK(has(problems_of(verified(path)), "2 reads were under way when it began, there is at most one."));
+  CHECK(has(problems_of(verified(path)), "2 reads were under way when it began, but at most one is possible."));
 }
 
 TEST_CASE("US-26 a recording that a sensor's own reading function opens, or closes, balances") {
@@ -857,7 +857,7 @@ TEST_CASE("US-26 a copy of the file alone, made while it was recorded, is told; 
   CHECK(of_alone.exit_code() == 1);
   CHECK(problems_of(of_alone) == "");
   CHECK(of_alone.runs.at(0).rows == 0);
-  CHECK(has(of_alone.runs.at(0).notes.at(0), "of which this is a copy without its log (-wal)"));
+  CHECK(has(of_alone.runs.at(0).notes.at(0), "of which this is a copy without its WAL file (-wal)"));
   CHECK(has(of_alone.runs.at(0).lines.at(0), "nothing lost that is known"));
   CHECK(has(of_alone.runs.at(0).not_known.at(0), "this is a copy, made while it was recorded"));
 }

@@ -56,7 +56,7 @@ class ConfigFormat {
   virtual ~ConfigFormat() = default;
   /// "JSON"
   virtual std::string_view name() const = 0;
-  /// {".json"}; an empty one stands for files without extension.
+  /// {".json"}; an empty one means files without extension.
   virtual std::vector<std::string> extensions() const = 0;
   /// Reads `text`, which is valid UTF-8, not empty, and has no NUL and no byte order mark. Adds each mistake to
   /// `problems`, with its place in `file`.
@@ -81,7 +81,7 @@ class ConfigFormats {
 /// Reads a file.
 ConfigDocument load_config(const std::string& file);
 ConfigDocument load_config(const std::string& file, const ConfigFormats& formats);
-/// Reads a text. `name` stands in for the file name in places, and its extension chooses the format.
+/// Reads a text. Places have `name` as the file name, and its extension chooses the format.
 ConfigDocument parse_config(std::string_view text, const std::string& name = "configuration.json");
 ConfigDocument parse_config(std::string_view text, const std::string& name, const ConfigFormats& formats);
 

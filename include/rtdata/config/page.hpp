@@ -35,36 +35,36 @@ struct PageTls {
 
   friend constexpr auto parameters(type_tag<PageTls>) {
     return parameter_list(parameter("certificate", &PageTls::certificate,
-                                    "file of its certificate, and those that signed it", required, TextIs::device),
-                          parameter("key", &PageTls::key, "file of its private key", required, TextIs::device));
+                                    "file with its certificate and those that signed it", required, TextIs::device),
+                          parameter("key", &PageTls::key, "file with its private key", required, TextIs::device));
   }
 };
 
 struct PageSettings {
   std::string listen = {};                 ///< a PageAddress; empty: there is no page
-  std::vector<std::string> commands = {};  ///< that the page may give
+  std::vector<std::string> commands = {};  ///< commands that the page may give
   std::string token = {};                  ///< empty: made at each start
-  std::vector<std::string> names = {};     ///< by which browsers call the machine, beside its own and its addresses
+  std::vector<std::string> names = {};     ///< further names of the machine in browsers' addresses
   std::optional<PageTls> tls = {};
   bool behind_tls_proxy = false;
 
   friend constexpr auto parameters(type_tag<PageSettings>) {
     return parameter_list(
-        parameter("listen", &PageSettings::listen, "where it is served, such as 127.0.0.1:8080", required,
+        parameter("listen", &PageSettings::listen, "address of the page, such as 127.0.0.1:8080", required,
                   TextIs::recorded),
-        parameter("commands", &PageSettings::commands, "what those who see it may do", TextIs::recorded,
+        parameter("commands", &PageSettings::commands, "commands that its users may give", TextIs::recorded,
                   choices("note", "ack", "event", "set", "arm", "disarm", "start", "stop")),
         parameter("token", &PageSettings::token,
-                  "what a browser has to know, 16 characters at least; default: a new one at each start"),
+                  "secret that a browser must give, at least 16 characters; default: a new one at each start"),
         parameter("names", &PageSettings::names,
-                  "further names of this machine that may stand in a browser's address, such as bench.example",
+                  "further names of this machine that a browser's address may have, such as bench.example",
                   TextIs::recorded),
-        parameter("tls", &PageSettings::tls, "the certificate with which it is encrypted; default: it is not"),
+        parameter("tls", &PageSettings::tls, "certificate for encryption; default: not encrypted"),
         parameter("behind_tls_proxy", &PageSettings::behind_tls_proxy,
-                  "another server, through which alone it is reached, encrypts it"));
+                  "the page is reachable only through another server, which encrypts it"));
   }
-  /// Refused: an address that is none; a token that could be guessed; on an address that others reach, commands that
-  /// set something, without encryption.
+  /// Refuses an invalid address; a token that could be guessed; without encryption, commands that set something on an
+  /// address that others can reach.
   friend void check_config(const PageSettings& settings, const ConfigItem& item, Problems& problems);
 };
 

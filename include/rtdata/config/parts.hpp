@@ -132,7 +132,7 @@ struct PartPlan {
   std::string stored_by = {};  ///< the sink that must store its events; empty: any
   /// The place that the part reserves: on a bus, or a device of the machine.
   struct Place {
-    std::string bus = {};              ///< empty: it is on none
+    std::string bus = {};              ///< empty: it is not on a bus
     std::string text = {};             ///< "address 0x76"; without a bus "/dev/i2c-1"; empty: none
     std::string advice = {};           ///< advice for a second user of the place; empty: use another place
     std::string bus_type = {};         ///< type of bus with such places; empty: any type that the part allows

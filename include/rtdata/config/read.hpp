@@ -10,7 +10,7 @@
 ///
 /// It reports unknown keys (with the nearest known one), missing required keys, and values of the wrong type, out of
 /// range, of the wrong length or not among the choices. Rules over several parameters (a minimum below a maximum) go
-/// into a function beside the Config, which is called if everything else is right:
+/// into a function next to the Config, which is called if everything else is right:
 ///
 ///     void check_config(const UartConfig& config, const ConfigItem& item, Problems& problems);
 ///

@@ -7,7 +7,7 @@
 ///         [](const AnalogConfig& config) { return analog_description(config.unit); },
 ///         makes<AnalogSensor>);   // or a function (Loop&, const SensorConfig&, const AnalogConfig&)
 ///     registry.add_sink<LinesConfig>(
-///         "lines", "one line an event", [](const LinesConfig& config) { return config.path; },
+///         "lines", "one line per event", [](const LinesConfig& config) { return config.path; },
 ///         [](Loop& loop, const LinesConfig& config) {
 ///           return Sink(loop, config.sink, std::make_unique<Lines>(config));
 ///         });
@@ -16,7 +16,7 @@
 ///
 /// A factory may return any class derived from AnySensor or Sink; for a bus, any class. A factory that takes a
 /// FeedConfig instead of a SensorConfig makes sensors without a schedule and without `rate`. A function `ReadTime
-/// read_time(const AnalogConfig&)` beside the Config tells how long one reading takes (loop.hpp); without it the time
+/// read_time(const AnalogConfig&)` next to the Config tells how long one reading takes (loop.hpp); without it the time
 /// is unknown.
 ///
 /// A part uses another part by its name: a parameter declared with `names_part("bus", "wire")` holds the name of a bus
@@ -112,7 +112,7 @@ class OutputType {
   virtual std::unique_ptr<Actuator> make(const void* own) const = 0;
 };
 
-/// The device's own sampling. The functions stand beside the Config, or in the driver.
+/// The device's own sampling. The functions are next to the Config, or in the driver.
 template <class C>
 Sampling sampling_of(const C& config) {
   Sampling sampling;
@@ -127,7 +127,7 @@ Sampling sampling_of(const C& config) {
   return sampling;
 }
 
-/// Without empty lines before and after, which raw strings have.
+/// Removes the empty lines at the begin and end of raw strings.
 std::string trimmed_notes(std::string_view notes);
 
 /// True if a factory of sensors takes these settings, with or without `Parts`.
@@ -279,8 +279,9 @@ class Registry {
  public:
   Registry();
 
-  /// `doc`: a phrase in lower case. `describe(const C&)`: the description of its events, or a Result of one; null when
-  /// it is not known before the sensor is made. `make(Loop&, const SensorConfig& or const FeedConfig&, const C&)`.
+  /// `doc`: a phrase in lower case. `describe(const C&)` returns the description of the events, or a Result with it. It
+  /// returns null if the description is known only after the sensor is made. `make(Loop&, const SensorConfig& or const
+  /// FeedConfig&, const C&)` makes the sensor.
   template <Configurable C, class Describe, class Make>
   void add_sensor(const std::string& type, std::string doc, Describe describe, Make make) {
     add_sensor<C>(type, std::move(doc), std::move(describe), std::move(make), [](PartPlan&, const C&) {});
@@ -357,14 +358,15 @@ class Registry {
 
   /// A type of sinks. C has a member `sink`, a SinkConfig whose parameters are included (`include_member(&C::sink)`).
   /// `path(const C&)`: the file that the sink writes, so that `check` finds two sinks on one file; "-" for standard
-  /// output, "" for none. `make(Loop&, const C&)` makes it. Optional functions beside the Config: `refused_topics(const
-  /// C&, std::span<const TopicToRecord>)` returns the topics that the sink cannot store; such a configuration is
-  /// refused before anything is made. `file_of_topic(const C&, std::string_view)` returns the file of a topic, if it is
-  /// not `path`. `is_companion_file(const C&, const std::string& file, const std::string& other)` tells whether `other`
-  /// belongs to `file`, such as a log or a lock, so that no other sink may use it. `check_openable(const C&, const
-  /// std::string& file)` tells whether a file can be opened and locked now; otherwise a reload that would open it is
-  /// refused. `batch_time(const C&)` returns the time after which the sink stores, if SinkConfig does not. A C with a
-  /// member `sending` (sender.hpp) or a static `is_sender` sends to a peer across a network.
+  /// output, "" for none. `make(Loop&, const C&)` makes it. Optional functions next to the Config:
+  /// `refused_topics(const C&, std::span<const TopicToRecord>)` returns the topics that the sink cannot store; such a
+  /// configuration is refused before anything is made. `file_of_topic(const C&, std::string_view)` returns the file of
+  /// a topic, if it is not `path`. `is_companion_file(const C&, const std::string& file, const std::string& other)`
+  /// tells whether `other` belongs to `file`, such as a log or a lock, so that no other sink may use it.
+  /// `check_openable(const C&, const std::string& file)` tells whether a file can be opened and locked now; otherwise a
+  /// reload that would open it is refused. `batch_time(const C&)` returns the time after which the sink stores, if
+  /// SinkConfig does not. A C with a member `sending` (sender.hpp) or a static `is_sender` sends to a peer across a
+  /// network.
   template <Configurable C, class Path, class Make>
   void add_sink(const std::string& type, std::string doc, Path path, Make make) {
     static_assert(
@@ -376,7 +378,7 @@ class Registry {
   }
 
   /// A type of buses. `make(Runtime&, const std::string& name, const C&)` returns the bus, of any class; sensors get it
-  /// with `parts.get<ThatClass>("bus", name)`. A function `Duration give_up_after(const C&)` beside the Config returns
+  /// with `parts.get<ThatClass>("bus", name)`. A function `Duration give_up_after(const C&)` next to the Config returns
   /// the limit of a job on the bus: `check` then refuses sensors that hold it for longer (driver.hpp). The bus belongs
   /// to the runtime: sensors of all loops may use it, from the threads of all loops and lanes at once. It is made
   /// before the sensors and destroyed after them. A reading that hung may outlive the bus on its abandoned thread: what

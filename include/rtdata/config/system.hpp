@@ -49,7 +49,7 @@ namespace rtdata {
 /// Where log lines go.
 struct LogSettings {
   std::string file = {};            ///< empty: the program's default
-  LogLevel level = LogLevel::info;  ///< lesser ones are left out
+  LogLevel level = LogLevel::info;  ///< less important lines are omitted
   /// At this size the file is renamed to FILE.1, the old FILE.1 to FILE.2, and so on; 0: never.
   std::uint64_t max_bytes = std::uint64_t{10} << 20;
   unsigned keep = 5;                 ///< how many old files are kept
@@ -64,9 +64,9 @@ struct LogSettings {
                   choices(value("debug", LogLevel::debug), value("info", LogLevel::info),
                           value("warning", LogLevel::warning), value("error", LogLevel::error))),
         parameter("max_bytes", &LogSettings::max_bytes,
-                  "a new file before this one becomes larger, which is renamed to FILE.1; 0: never, else 4096 at least",
+                  "largest size: then it is renamed to FILE.1, and a new file begins; 0: no limit, else at least 4096",
                   unit("By")),
-        parameter("keep", &LogSettings::keep, "how many of the files before are kept", range(1, 1000)),
+        parameter("keep", &LogSettings::keep, "how many earlier files are kept", range(1, 1000)),
         parameter("permissions", &LogSettings::permissions,
                   "permissions of a new file, in octal digits, minus the umask", TextIs::permissions));
   }
@@ -79,7 +79,7 @@ struct ControlSettings {
 
   friend constexpr auto parameters(type_tag<ControlSettings>) {
     return parameter_list(parameter("readers", &ControlSettings::readers,
-                                    "how many may read events at a time, such as `rtdata tail`; 0: none",
+                                    "how many programs may read events at a time, such as `rtdata tail`; 0: none",
                                     range(0, 1000)));
   }
 };
@@ -91,7 +91,7 @@ constexpr auto parameters(type_tag<Loop::Config>) {
       parameter("hold_limit", &Loop::Config::hold_limit, "a callback that takes longer is reported by its name",
                 range(10us, 1h)),
       parameter("delivery_budget", &Loop::Config::delivery_budget,
-                "time of handlers in a turn before due ticks are checked again", range(10us, 1s)),
+                "how long handlers run in a turn before due ticks are checked again", range(10us, 1s)),
       parameter("phase_grid", &Loop::Config::phase_grid,
                 "schedules start on multiples of it, so that they share wake-ups; 0 s: none", range(0s, 1s)));
 }
@@ -113,14 +113,13 @@ struct TierSettings : Tier::Config {
                   "with a real-time policy: keep all memory of the program resident",
                   only_with("policy", "fifo", "rr")),
         parameter("keep_cpu_awake", &TierSettings::keep_cpu_awake,
-                  "no deep idle of any processor while it runs: less lateness, more power"),
+                  "keep all processors out of deep idle states while it runs: less lateness, more power"),
         parameter("spin", &TierSettings::spin,
-                  "wait the last stretch before a deadline spinning: exact, and costs that share of a processor",
-                  range(0s, 10ms)),
+                  "busy-wait this long before each deadline: exact, but uses a processor meanwhile", range(0s, 10ms)),
         parameter("hold_limit", &TierSettings::hold_limit, "a callback that takes longer is reported by its name",
                   range(10us, 1h)),
         parameter("delivery_budget", &TierSettings::delivery_budget,
-                  "time of handlers in a turn before due ticks are checked again", range(10us, 1s)),
+                  "how long handlers run in a turn before due ticks are checked again", range(10us, 1s)),
         parameter("phase_grid", &TierSettings::phase_grid,
                   "schedules start on multiples of it, so that they share wake-ups; 0 s: none", range(0s, 1s)));
   }
@@ -143,11 +142,11 @@ struct SystemSettings {
     return parameter_list(
         parameter("$schema", &SystemSettings::schema, "for editors: where the JSON Schema is (rtdata types --schema)",
                   TextIs::recorded),
-        parameter("name", &SystemSettings::name, "of the set-up, kept in recordings; default: the file's name",
+        parameter("name", &SystemSettings::name, "name of the set-up, kept in recordings; default: the file's name",
                   TextIs::name),
         parameter("notes", &SystemSettings::notes, "anything worth knowing, kept in recordings", TextIs::recorded),
         parameter("log", &SystemSettings::log, "the log file"),
-        parameter("control", &SystemSettings::control, "what others may ask of the running program"),
+        parameter("control", &SystemSettings::control, "what other programs may ask the running program"),
         parameter("page", &SystemSettings::page, "the live page, for browsers"),
         parameter("loop", &SystemSettings::loop, "settings of the loop"),
         parameter("tiers", &SystemSettings::tiers,
@@ -177,7 +176,7 @@ struct SystemPlan {
   std::vector<const PartPlan*> of_kind(std::string_view kind) const;
   /// Replaces resolved secrets in the texts of problems and warnings.
   void hide_secrets();
-  /// Every problem with its line of the file, for people.
+  /// Every problem with its line of the file, as text for users.
   std::string report() const;
   /// How long the sensors of each loop may hold it (LoopLoad): the main loop, then the tiers; loops without sensors are
   /// left out. `warnings` names each overloaded loop or lane.
@@ -214,7 +213,7 @@ class System {
   std::vector<std::string> sink_names() const { return parts_.names("sink"); }
 
   /// Makes one more part of any kind, from an item as in the file (`parse_config(text).or_throw()`), and returns its
-  /// name. `name`: of a kind that is written by name, such as a bus. It is checked as if it stood in the file, also
+  /// name. `name`: of a kind that is written by name, such as a bus. It is checked as if it were in the file, also
   /// against the existing parts (names, payloads of topics, files): throws ConfigError with every mistake, or the
   /// SetupError of its factory; then the system is unchanged. Recordings store the item and the time.
   std::string add(std::string_view kind, const ConfigItem& item, const std::string& name = {});
@@ -231,7 +230,7 @@ class System {
   /// What `apply` would do to each part, including parts added with `add`.
   PlanChange change_to(const SystemPlan& next) const;
   /// Applies the plan in this turn of the loop: closes, makes and changes parts, in the order of StepwiseChange
-  /// (config/change.hpp), which lets the loop turn in between. Unchanged parts go on; handles of closed parts are
+  /// (config/change.hpp), which lets the loop turn in between. Unchanged parts continue; handles of closed parts are
   /// invalid. A closed sink stores its queue afterwards, while the loop turns, within its `close_deadline`; a new sink
   /// on the same file waits for that. Recordings store the text and the time.
   ///

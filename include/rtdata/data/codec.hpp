@@ -1,9 +1,9 @@
 /// Codec: events to bytes and back, in any format.
 ///
-/// Shipped: "json" (one object a line), "cbor" (the same in binary), "raw" (the compact wire format), "csv" (a row an
-/// event), "influx" (a line of InfluxDB's protocol). A format of your own is a class that derives from `Codec`, added
-/// to a `CodecRegistry` under its name; everything that takes a format by name (files, network sinks, exports) can then
-/// use it.
+/// Shipped: "json" (one object per line), "cbor" (the same in binary), "raw" (the compact wire format), "csv" (a row
+/// per event), "influx" (a line of InfluxDB's protocol). A format of your own is a class that derives from `Codec`,
+/// added to a `CodecRegistry` under its name; everything that takes a format by name (files, network sinks, exports)
+/// can then use it.
 ///
 /// A codec object is used by one thread at a time and keeps memory from event to event; make one per sink. Times are
 /// ns since the Unix epoch. Errors: does_not_fit (raw: too long or absent), bad_data (bytes that do not decode),
@@ -69,7 +69,7 @@ class Codec {
   virtual std::size_t first_event(std::span<const std::byte> stream) const noexcept;
 };
 
-/// JSON, one object a line, for example (without the line breaks):
+/// JSON, one object per line, for example (without the line breaks):
 ///
 ///     {"topic":"climate","time":1772366400000000000,"origin":"chamber","sequence":7,
 ///      "data":{"temperature":21.5,"position":{"x":1},"accel":[0,0,9.81],"state":"idle","battery":null}}
@@ -77,11 +77,11 @@ class Codec {
 /// An event with a run (EventView::run) has `"run":"..."` after its sequence. Numbers are the shortest that read back
 /// equal, NaN and infinities the strings "NaN", "Infinity", "-Infinity". A char is a string of one character (bytes
 /// from 0x80 on as U+0080 to U+00FF), an enumeration its name (its number when that has none), an absent optional null.
-/// Bytes of a text that are no UTF-8 are escaped, as in CSV (docs/formats.md), and come back equal. Decoding needs
+/// Bytes of a text that are not UTF-8 are escaped, as in CSV (docs/formats.md), and come back equal. Decoding needs
 /// every key exactly once, in any order, and no other keys; "sequence" and "run" may be missing.
 std::unique_ptr<Codec> make_json_codec();
 
-/// CBOR (RFC 8949), a map an event with the keys of JSON, one after the other without anything between (RFC 8742).
+/// CBOR (RFC 8949), a map per event with the keys of JSON, one after the other without anything between (RFC 8742).
 /// Numbers and NaN are those of CBOR, in as few bytes as the integer needs and in four or eight as the float has; a
 /// text is a text string, or a byte string if it is not UTF-8, without escapes. The rest is as in JSON. Decoding
 /// accepts integers and floats of any CBOR size, and lists and maps of unknown length; tags are errors.
@@ -100,7 +100,7 @@ std::unique_ptr<Codec> make_influx_codec();
 
 struct RawConfig {
   enum class Sequence { omit, include };
-  /// Whether the sequence number is sent, as a u64 after the origin. Both sides must agree.
+  /// True: the sequence number is sent, as a u64 after the origin. Both sides must agree.
   Sequence sequence = Sequence::omit;
 };
 
@@ -117,9 +117,9 @@ struct CsvConfig {
   TimeFormat time = TimeFormat::nanoseconds;
 };
 
-/// CSV after RFC 4180 with "\n" as line end ("\r\n" is read too): time, origin, sequence, then a column a leaf. The
+/// CSV after RFC 4180 with "\n" as line end ("\r\n" is read too): time, origin, sequence, then a column per leaf. The
 /// topic is not written: a CSV text holds one. An absent optional is an empty cell, an empty text is "". Each byte of a
-/// text that is no UTF-8, and each zero byte, is written as \xHH, a backslash that would begin one of these as \x5c; a
+/// text that is not UTF-8, and each zero byte, is written as \xHH, a backslash that would begin one of these as \x5c; a
 /// char above 0x7f is U+0080 to U+00FF. Reading also accepts TRUE and FALSE, 1 and 0, and a byte order mark before the
 /// row.
 std::unique_ptr<Codec> make_csv_codec(CsvConfig config = {});

@@ -71,7 +71,8 @@ class ConfigItem {
   bool is_null() const noexcept { return kind() == Kind::null; }
   bool is_array() const noexcept { return kind() == Kind::array; }
   bool is_object() const noexcept { return kind() == Kind::object; }
-  /// For people: `the string "abc"`, `the number 3.7`, `true`, `null`, `a list`, `an object`. Long strings are cut.
+  /// A text for users: `the string "abc"`, `the number 3.7`, `true`, `null`, `a list`, `an object`. Long strings are
+  /// cut.
   std::string describe() const;
 
   /// Where its value begins in the file.
@@ -167,7 +168,7 @@ class ConfigItem {
     element.set(value);
     return element;
   }
-  /// Takes out a child; false when there is none. Elements behind it move up, and their paths with them.
+  /// Removes a child; false when there is none. Elements behind it move up, and their paths with them.
   bool remove(std::string_view key);
   bool remove(std::size_t index);
 

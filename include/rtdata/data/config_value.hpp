@@ -63,7 +63,7 @@ bool read_float(const ConfigItem& item, float& out, Problems& problems);
 bool read_double(const ConfigItem& item, double& out, Problems& problems);
 bool read_string(const ConfigItem& item, std::string_view& out, Problems& problems);
 bool read_character(const ConfigItem& item, char& out, Problems& problems);
-/// `sign`: whether the duration may be negative.
+/// `sign`: says if the duration may be negative.
 enum class Sign { positive, any };
 bool read_duration(const ConfigItem& item, Duration& out, Sign sign, Problems& problems);
 bool read_rate(const ConfigItem& item, Rate& out, Problems& problems);

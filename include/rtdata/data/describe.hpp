@@ -195,7 +195,7 @@ constexpr Kind integer_kind() {
   return static_cast<Kind>(static_cast<int>(first) + log);
 }
 
-/// Whether T is a single value: not optional, no array and no struct.
+/// True if T is a single value: not optional, not an array, not a struct.
 template <class T>
 inline constexpr bool is_scalar = std::is_same_v<T, bool> || std::is_same_v<T, char> || is_integer<T> ||
                                   std::is_same_v<T, float> || std::is_same_v<T, double> || is_text<T> ||
@@ -256,7 +256,7 @@ inline constexpr bool takes<T, std::index_sequence<I...>> = requires {
   T{AnyMemberAt<T, I>{}...};
 };
 
-/// Whether an aggregate has more members than `N`.
+/// True if an aggregate has more members than `N`.
 template <class T, std::size_t N>
 constexpr bool has_more_members_than() {
   if constexpr (std::is_aggregate_v<T>) {
@@ -350,7 +350,7 @@ void fill(RawField& raw) {
   }
 }
 
-/// Whether a std::optional<T> lies in memory as OptionalAccess reads it: the value, then one byte that is 1 or 0.
+/// True if a std::optional<T> lies in memory as OptionalAccess reads it: the value, then one byte that is 1 or 0.
 template <class T>
 bool optional_lies_as_expected() {
   std::optional<T> optional;

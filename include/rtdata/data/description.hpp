@@ -156,7 +156,7 @@ bool is_name(std::string_view text) noexcept;
 class DescriptionBuilder {
  public:
   explicit DescriptionBuilder(std::string name);
-  /// `presence`: whether the value may be absent.
+  /// `presence`: says if the value may be absent.
   enum class Presence { always, optional };
   DescriptionBuilder& field(std::string name, Kind kind, std::string unit = {}, Presence presence = Presence::always);
   /// `capacity`: the most bytes the text may have.

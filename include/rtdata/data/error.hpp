@@ -40,7 +40,7 @@ enum class Errc {
   bad_data,             ///< bytes that do not decode
   does_not_fit,         ///< a value too long for its place
   storage_full,         ///< no space left
-  not_a_recording,      ///< a file that is no recording of this library
+  not_a_recording,      ///< a file that is not a recording of this library
   newer_version,        ///< written by a newer version
   damaged,              ///< a recording whose content is broken
   handler_threw,        ///< an exception left a user's callback

@@ -1,4 +1,4 @@
-/// Parameters: declare the settings of a component once, beside its `Config`.
+/// Parameters: declare the settings of a component once, next to its `Config`.
 ///
 ///     struct UartConfig {
 ///       std::string device;
@@ -16,7 +16,7 @@
 ///       }
 ///     };
 ///
-/// The declaration gives reading with a report of every mistake (`read_config`), the list for people (`parameters_of`),
+/// The declaration gives reading with a report of every mistake (`read_config`), the list for users (`parameters_of`),
 /// the JSON Schema (`schema_of`) and writing (`write_config`), all in read.hpp.
 ///
 /// A member may be bool, char, an integer, float, double, std::string, Duration or another std::chrono duration, Rate,
@@ -71,8 +71,8 @@ struct OnlyWith {
 
 /// The text is the name of another part of the configuration, which must be there.
 struct NamesPart {
-  std::string_view kind = {};                ///< "bus", "tier", "sink" ...; empty: it names no part
-  std::vector<std::string_view> types = {};  ///< that the part may be of; none: of any
+  std::string_view kind = {};                ///< "bus", "tier", "sink" ...; empty: it does not name a part
+  std::vector<std::string_view> types = {};  ///< types that the part may have; empty: any
 };
 
 namespace config_detail {
@@ -339,7 +339,7 @@ template <class... Types>
 constexpr config_detail::PartNamed<sizeof...(Types)> names_part(std::string_view kind, Types... types) {
   return {kind, {std::string_view(types)...}};
 }
-/// The UCUM unit of a number, for people and the schema; the file does not contain it.
+/// The UCUM unit of a number, for users and the schema; the file does not contain it.
 constexpr config_detail::Unit unit(std::string_view text) { return {text}; }
 
 /// Both ends belong to it. Numbers, durations or rates, as the member.

@@ -65,7 +65,7 @@ class Problems {
 
   /// Orders them by line and column; those of one place keep their order.
   void sort();
-  /// One line a problem, each ended by a newline.
+  /// One line per problem, each ended by a newline.
   std::string text() const;
 
  private:

@@ -75,7 +75,7 @@ Result<Duration> parse_duration(std::string_view text);
 std::string to_string(Duration duration);
 /// "100 Hz", "2.5 kHz", "1 MHz", "0.1 Hz", "6 /min", or a period such as "10 ms".
 Result<Rate> parse_rate(std::string_view text);
-/// "100 Hz", "0.1 Hz"; a period that is no round rate is written as such ("every 16.7 ms").
+/// "100 Hz", "0.1 Hz"; a period that is not a round rate is written as a period ("every 16.7 ms").
 std::string to_string(Rate rate);
 
 namespace literals {

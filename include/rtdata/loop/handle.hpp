@@ -70,7 +70,7 @@ class Node {
  private:
   friend class Call;
   friend class Nodes;
-  // The members that each callback touches come last, beside those of the derived class, in one line of cache.
+  // The members that each callback touches come last, next to those of the derived class, in one cache line.
   Node* previous_ = nullptr;
   Node* next_ = nullptr;
   LoopCore* loop_;

@@ -150,8 +150,8 @@ inline constexpr const char* account_topic = "$rtdata/account";
 ///
 ///     "sinks": [{"type": "http", "url": "https://collector.example/in", "topics": ["#", "$rtdata/account"]}]
 ///
-/// With it the receiver of a sink's data can check that it has everything: of each origin, the events with sequences up
-/// to `published`; it also shows the losses on the machine itself. `#` does not match the topic. With `through`, the
+/// With it the receiver of a sink's data can check that it has everything: for each origin, the events with sequences
+/// up to `published`; it also shows the losses on the machine itself. `#` does not match the topic. With `through`, the
 /// recording must name the topic too; if the peer is away at the end, the account waits there like all other events. It
 /// is published only if a sink or a subscription names the topic. A program that is killed publishes none.
 struct FinalCounts {

@@ -138,8 +138,8 @@ class Loop {
     /// 0: a fixed order, without delays. Other values: the seed chooses the order of things at one instant, and adds
     /// delays to work of other threads (see `jitter`).
     std::uint64_t seed = 0;
-    /// With a seed, the longest delay of data from one loop to another, and the longest additional time of a lane's
-    /// job, within its limit.
+    /// Used only with a seed: the longest random delay of data between two loops, and the longest random extra time of
+    /// a job on a lane (never beyond the job's limit).
     Duration jitter = std::chrono::milliseconds{1};
   };
   static constexpr std::size_t post_backlog = 10'000;  ///< functions given to `post` that may wait without a report
@@ -196,7 +196,7 @@ class Loop {
   uv_loop_t* uv() noexcept;
 
   /// The topic of that name, made if there is none. SetupError (description-differs) when it exists with another
-  /// description, naming both; (bad-name) when the path is no topic name.
+  /// description, naming both; (bad-name) when the path is not a topic name.
   template <class T>
   Topic<T> topic(std::string_view name);
   /// Calls `handler` with every event of the topics that match (`+` one level, `#` all below; topics under `$` are

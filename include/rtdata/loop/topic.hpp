@@ -86,7 +86,7 @@ Subscription Loop::subscribe(std::string_view pattern, F&& handler) {
 bool is_topic_name(std::string_view name) noexcept;
 /// True if `pattern` is a topic name, or has the wildcards "+" and "#" as in MQTT.
 bool is_topic_pattern(std::string_view pattern) noexcept;
-/// Whether the pattern matches. "#" and "+" do not match names that begin with "$".
+/// True if the pattern matches. "#" and "+" do not match names that begin with "$".
 bool topic_matches(std::string_view pattern, std::string_view name) noexcept;
 
 }  // namespace rtdata

@@ -28,7 +28,7 @@ namespace rtdata {
 
 /// True if the text is the URL of a server, as for `rtdata verify`, and not a file.
 bool is_server_url(std::string_view text) noexcept;
-/// The URL without its password, for people.
+/// The URL without its password, for messages.
 std::string shown_url(const std::string& url);
 
 struct ServerRecording {

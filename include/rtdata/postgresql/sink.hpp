@@ -3,8 +3,8 @@
 ///     rtdata::PostgresqlSink server(loop, {.url = "postgresql://rt@db.example/plant?sslmode=verify-full",
 ///                                          .sink = {.through = "run.db"}});
 ///
-/// One table a topic, named as the topic, made by the sink: `time` (UTC), `time_ns` (exact, as recorded), `run`,
-/// `origin`, `sequence`, then one column a field, with units as comments. COPY inserts the rows, in one transaction
+/// One table per topic, named as the topic, made by the sink: `time` (UTC), `time_ns` (exact, as recorded), `run`,
+/// `origin`, `sequence`, then one column per field, with units as comments. COPY inserts the rows, in one transaction
 /// with the position of each origin on the server (rtdata_position). After any failure on either side, the sink reads
 /// the position again and does not send rows that the server already has. docs/postgresql.md has the layout.
 ///
@@ -53,11 +53,11 @@ struct PostgresqlConfig {
                   "postgresql://user@host/database?sslmode=verify-full, without a password"),
         parameter("host", &PostgresqlConfig::host, "name, address, or the folder of a Unix socket"),
         parameter("port", &PostgresqlConfig::port, "0: 5432, or what PGPORT says", range(0, 65535)),
-        parameter("database", &PostgresqlConfig::database, "its name"),
+        parameter("database", &PostgresqlConfig::database, "name of the database"),
         parameter("user", &PostgresqlConfig::user, "the user's name on the server"),
         parameter("password", &PostgresqlConfig::password,
-                  "as {\"env\": ...} or {\"file\": ...}; without one ~/.pgpass is asked"),
-        parameter("schema", &PostgresqlConfig::schema, "of the tables; made when it is not there"),
+                  "as {\"env\": ...} or {\"file\": ...}; default: from ~/.pgpass"),
+        parameter("schema", &PostgresqlConfig::schema, "schema of the tables; made if it does not exist"),
         parameter("machine", &PostgresqlConfig::machine, "this machine's name on the server; its host name by default",
                   TextIs::name),
         parameter("timeout", &PostgresqlConfig::timeout, "time limit of each answer of the server", range(100ms, 1h)),

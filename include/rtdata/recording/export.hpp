@@ -29,7 +29,7 @@ enum class ExportTime {
 };
 
 struct ExportConfig {
-  std::string format = "csv";  ///< name of a codec; "jsonl" is "json", an object a line
+  std::string format = "csv";  ///< name of a codec; "jsonl" is "json", an object per line
   RowFilter filter = {};
   ExportTime time = ExportTime::recorded;
   enum class TimeText { nanoseconds, iso8601 };

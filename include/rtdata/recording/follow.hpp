@@ -6,10 +6,10 @@
 ///     }
 ///     // Later, what was stored since: rows.read(100ms, print_row)
 ///
-/// Each call reads in a transaction of its own, which does not keep the writer from tidying up for longer than that.
-/// Within a call, rows come in order of run and time; each table goes on behind its last row, so that one that was
-/// stored late is not missed. A row that was deleted by a limit before it was read does not come: the next of its
-/// origin has a sequence that is further on.
+/// Each call reads in its own transaction, so the writer cannot copy and truncate its WAL file during a call. Within
+/// a call, rows come in order of run and time; in each table the next call continues after the last row read, so a row
+/// that was stored late is not missed. A row that a limit deleted before it was read does not come: the sequence of
+/// its origin then has a hole.
 ///
 /// Owner: the holder. Thread: one at a time. Times are as they were recorded. Errors: those of Recording; damaged,
 /// which names the row.
@@ -36,8 +36,8 @@ class RecordingFollower {
   RecordingFollower& operator=(RecordingFollower&&) noexcept;
   ~RecordingFollower();
 
-  /// Calls `take` with the next rows, each valid for the call, for about so long, or until it says that it has enough.
-  /// True: there are more by now.
+  /// Calls `take` with the next rows, each valid for the call, for about this long, or until it says that it has
+  /// enough. True: there are more by now.
   enum class Goes { on, enough };
   Result<bool> read(Duration at_most, const std::function<Goes(const RecordedRow& row)>& take);
   /// What it reads.

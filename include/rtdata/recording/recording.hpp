@@ -232,8 +232,8 @@ class RecordedRow {
   const EventHeader& header() const noexcept { return header_; }
   /// Not for a gap.
   EventView event() const noexcept { return EventView(topic_->topic, header_, *topic_->description, payload_); }
-  /// Of a step: the sequences of its first and its last event. What is missing between them, or between the last of one
-  /// step and the first of the next of that origin, was not stored. Of an event both are its own, of a gap 0.
+  /// For a step: the sequences of its first and its last event. What is missing between them, or between the last of
+  /// one step and the first of the next of that origin, was not stored. Of an event both are its own, of a gap 0.
   std::uint64_t first_sequence() const noexcept { return first_sequence_; }
   std::uint64_t last_sequence() const noexcept { return last_sequence_; }
 

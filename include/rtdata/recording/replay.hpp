@@ -56,7 +56,7 @@ struct ReplayConfig {
 
   friend constexpr auto parameters(type_tag<ReplayConfig>) {
     return parameter_list(
-        parameter("name", &ReplayConfig::name, "in reports", TextIs::name),
+        parameter("name", &ReplayConfig::name, "name in reports", TextIs::name),
         parameter("file", &ReplayConfig::file, "the recording", required),
         parameter("run", &ReplayConfig::run, "number of the run; 0: the last one", range(0, 9.0e15)),
         parameter("topics", &ReplayConfig::topics, "which topics: names or patterns, + for one level, # for all below",
@@ -64,7 +64,7 @@ struct ReplayConfig {
         parameter("rename", &ReplayConfig::rename, "\"OLD=NEW\": the topic OLD, and those below it, become NEW"),
         parameter("prefix", &ReplayConfig::prefix, "prefix of the names of the origins"),
         parameter("from", &ReplayConfig::from, "first time, in UTC as 2026-03-01T12:00:00Z or as recorded in ns"),
-        parameter("until", &ReplayConfig::until, "first time that is left out"),
+        parameter("until", &ReplayConfig::until, "end time, not included"),
         parameter("speed", &ReplayConfig::speed, "2: twice as fast as it was recorded", range(1e-6, 1e6)));
   }
 };

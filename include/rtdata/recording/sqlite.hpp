@@ -2,9 +2,9 @@
 ///
 ///     rtdata::SqliteSink recording(loop, {.path = "run.db"});
 ///
-/// One table a topic, named as the topic, one column a field, plus run, time (ns since the epoch), origin and sequence.
-/// The tables rtdata_run, _topic, _schedule, _ledger, _gap, _clock and _error hold the data for checking it (`rtdata
-/// verify`); docs/recording.md describes them. A file takes many runs. Readers may read while it records.
+/// One table per topic, named as the topic, one column per field, plus run, time (ns since the epoch), origin and
+/// sequence. The tables rtdata_run, _topic, _schedule, _ledger, _gap, _clock and _error hold the data for checking it
+/// (`rtdata verify`); docs/recording.md describes them. A file takes many runs. Readers may read while it records.
 ///
 /// The file is opened on the sink's lane. While the loop does not run (loop.hpp), the constructor waits for that and
 /// throws SetupError: not-a-recording, newer-version, not-permitted, busy (another process records into it; the error
@@ -45,7 +45,7 @@ struct SqliteConfig {
   /// 0: no limit, otherwise at least `least_max_bytes`.
   std::uint64_t max_bytes = 0;
   Duration max_age{0};               ///< older rows are deleted and counted as pruned; 0: no limit
-  bool steps = true;                 ///< also records each second and minute of a topic, reduced, beside its rows
+  bool steps = true;                 ///< also records a summary of each second and minute of a topic
   std::string permissions = "0640";  ///< of a new file, minus the umask; an existing file keeps its own
   SinkConfig sink = {};              ///< common settings; default name: the path
 

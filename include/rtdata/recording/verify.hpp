@@ -75,10 +75,10 @@ struct RunReport {
   std::uint64_t scheduled = 0, missed = 0, failed = 0, late = 0;
   std::uint64_t received = 0, unreadable = 0;
   std::optional<std::uint64_t> lost_by_source;       ///< none: no source numbers its data
-  std::map<std::string, std::uint64_t> first_lines;  ///< by topic; no loss: as of SensorCounts
+  std::map<std::string, std::uint64_t> first_lines;  ///< by topic; not a loss: see SensorCounts
   std::uint64_t values_checked = 0;                  ///< rows whose values agree with their checksum
-  /// Of all that is there of the run: the sum of the hashes of its account and of all its rows, mod 2^64. Recordings of
-  /// equal content have the same; a row that is added, changed or deleted changes it. Of `verify` only.
+  /// The sum of the hashes of the run's account and of all its rows, mod 2^64. Recordings of equal content have the
+  /// same; a row that is added, changed or deleted changes it. Set only by `verify`.
   std::uint64_t checksum = 0;
   std::string checksum_text() const;   ///< 16 hexadecimal digits
   std::size_t origins = 0, gaps = 0;   ///< outages are gaps, too
@@ -115,7 +115,7 @@ struct VerifyReport {
   Verdict verdict() const noexcept;
   /// 0: balanced, sealed or being recorded; 1: not balanced, or not sealed.
   int exit_code() const noexcept;
-  /// The report for people, the newest run last; at most 80 columns wide if the names allow.
+  /// The report as text for users, the newest run last; at most 80 columns wide if the names allow.
   std::string text() const;
   std::string to_json() const;
 };

@@ -1,4 +1,4 @@
-/// ConsoleSink: events as lines for people, on standard output.
+/// ConsoleSink: prints events as readable lines on standard output.
 ///
 ///     rtdata::ConsoleSink console(loop, {});
 ///
@@ -37,7 +37,7 @@ struct ConsoleConfig {
   friend constexpr auto parameters(type_tag<ConsoleConfig>) {
     return parameter_list(parameter("descriptor", &ConsoleConfig::descriptor, "1: standard output, 2: standard error",
                                     range(0, 1'000'000)),
-                          parameter("time", &ConsoleConfig::time, "the time of day of which zone"),
+                          parameter("time", &ConsoleConfig::time, "time zone of the printed times"),
                           include_member(&ConsoleConfig::sink));
   }
 };

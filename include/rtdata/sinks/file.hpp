@@ -66,9 +66,9 @@ struct FileRotation {
 
   friend constexpr auto parameters(type_tag<FileRotation>) {
     return parameter_list(
-        parameter("bytes", &FileRotation::bytes, "a new file before this one becomes larger", unit("By"),
+        parameter("bytes", &FileRotation::bytes, "largest size of a file; then a new one begins", unit("By"),
                   range(least_bytes, std::uint64_t{1} << 50)),
-        parameter("time", &FileRotation::time, "a new file at each multiple of it, such as 1 h or 1 d",
+        parameter("time", &FileRotation::time, "a new file begins at each multiple of this time, such as 1 h or 1 d",
                   range(least_time, Duration{std::chrono::hours{24 * 366}})));
   }
 };
@@ -87,16 +87,16 @@ struct FileConfig {
   friend constexpr auto parameters(type_tag<FileConfig>) {
     return parameter_list(
         parameter("path", &FileConfig::path,
-                  "the file; {topic} in its name makes a file a topic, {date} and {run} one a run", required,
+                  "the file; {topic} in its name: one file per topic; {date} and {run}: one per run", required,
                   TextIs::output_file, placeholders("topic", "date", "run")),
         parameter(
             "format", &FileConfig::format,
-            "jsonl (a JSON object a line), csv, cbor, influx, raw, or a format added by the program; without it as "
-            "the path ends: .csv, .cbor, else jsonl"),
+            "jsonl (a JSON object per line), csv, cbor, influx, raw, or a format added by the program; default: by "
+            "the end of the path: .csv, .cbor, else jsonl"),
         parameter("sync", &FileConfig::sync,
                   "when the data is forced onto the disk: never, after each batch, at close"),
-        parameter("rotate", &FileConfig::rotate, "when a new file is begun; those before get numbers that sort"),
-        parameter("keep", &FileConfig::keep, "how many of those before are kept; 0: all"),
+        parameter("rotate", &FileConfig::rotate, "when a new file begins; earlier files get numbers that sort"),
+        parameter("keep", &FileConfig::keep, "how many earlier files are kept; 0: all"),
         parameter("permissions", &FileConfig::permissions,
                   "permissions of a new file, in octal digits, minus the umask", TextIs::permissions),
         include_member(&FileConfig::sink));

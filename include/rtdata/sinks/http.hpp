@@ -59,8 +59,8 @@ constexpr auto describe(type_tag<HttpCutAnswer>) {
 struct HttpConfig {
   HttpPeer server = {};
   HttpMethod method = HttpMethod::post;
-  /// "json" (an array of objects; with a `parcel_rows` of 1 the object alone), "jsonl" (an object a line), "cbor" (one
-  /// after the other), "influx", "raw", or a name of the registry
+  /// "json" (an array of objects; with a `parcel_rows` of 1 the object alone), "jsonl" (an object per line), "cbor"
+  /// (one after the other), "influx", "raw", or a name of the registry
   std::string format = "json";
   std::string content_type = {};  ///< empty: the format's
   HttpCompression compression = HttpCompression::none;
@@ -70,16 +70,17 @@ struct HttpConfig {
 
   friend constexpr auto parameters(type_tag<HttpConfig>) {
     return parameter_list(
-        include_member(&HttpConfig::server), parameter("method", &HttpConfig::method, "of the requests"),
+        include_member(&HttpConfig::server), parameter("method", &HttpConfig::method, "method of the requests"),
         parameter(
             "format", &HttpConfig::format,
             "json (an array of objects; with parcel_rows 1 one object), jsonl, cbor, influx, raw, or a format added "
             "by the program"),
-        parameter("content_type", &HttpConfig::content_type, "in place of the format's own"),
-        parameter("compression", &HttpConfig::compression, "of what is sent"),
+        parameter("content_type", &HttpConfig::content_type,
+                  "content type of the requests; default: that of the format"),
+        parameter("compression", &HttpConfig::compression, "compression of the requests"),
         parameter("cut_answer", &HttpConfig::cut_answer,
-                  "a request that was sent whole, and whose answer of 200 to 299 was cut off four times, counts as "
-                  "delivered, or is sent again and again"),
+                  "what to do if the server's success answer (200 to 299) is cut off four times: count the request as "
+                  "delivered, or send it again"),
         include_member(&HttpConfig::sending), include_member(&HttpConfig::sink));
   }
   /// Checks rules over several parameters. Sends nothing.

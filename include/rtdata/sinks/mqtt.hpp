@@ -44,10 +44,10 @@ struct MqttWill {
   bool retain = false;
 
   friend constexpr auto parameters(type_tag<MqttWill>) {
-    return parameter_list(parameter("topic", &MqttWill::topic, "where the broker publishes it", required),
+    return parameter_list(parameter("topic", &MqttWill::topic, "topic on which the broker publishes it", required),
                           parameter("message", &MqttWill::message, "what it publishes when the connection is lost"),
                           parameter("qos", &MqttWill::qos, "0, 1 or 2", range(0, 2)),
-                          parameter("retain", &MqttWill::retain, "whether the broker keeps it for later subscribers"));
+                          parameter("retain", &MqttWill::retain, "the broker keeps it for later subscribers"));
   }
 };
 
@@ -75,19 +75,20 @@ struct MqttConfig {
     return parameter_list(
         parameter("host", &MqttConfig::host, "the broker: a name or an address"),
         parameter("port", &MqttConfig::port, "its port; 0: 1883, with tls 8883"),
-        parameter("topic", &MqttConfig::topic, "of a message; {topic} and {origin} are those of the event",
+        parameter("topic", &MqttConfig::topic, "topic of a message; {topic} and {origin} are those of the event",
                   placeholders("topic", "origin")),
         parameter("format", &MqttConfig::format, "json, cbor, influx or raw"),
         parameter("qos", &MqttConfig::qos, "0: at most once, 1: at least once, 2: once for each connection",
                   range(0, 2)),
-        parameter("retain", &MqttConfig::retain, "whether the broker keeps the last message for later subscribers"),
+        parameter("retain", &MqttConfig::retain, "the broker keeps the last message for later subscribers"),
         parameter("wait_for_subscriber", &MqttConfig::wait_for_subscriber,
                   "an event without a subscriber waits until there is one; version 5, qos 1"),
         parameter("version", &MqttConfig::version, "of MQTT"),
-        parameter("client_id", &MqttConfig::client_id, "its name at the broker; empty: the broker chooses"),
-        parameter("user", &MqttConfig::user, "name at the broker"),
+        parameter("client_id", &MqttConfig::client_id, "client id at the broker; empty: the broker chooses"),
+        parameter("user", &MqttConfig::user, "user name at the broker"),
         parameter("password", &MqttConfig::password, "to be written as {\"env\": ...} or {\"file\": ...}"),
-        parameter("tls", &MqttConfig::tls, "encrypted; {} is enough where the broker's certificate is a public one"),
+        parameter("tls", &MqttConfig::tls,
+                  "encryption; {} is enough if a public authority signed the broker's certificate"),
         parameter("will", &MqttConfig::will, "what the broker publishes when the connection is lost"),
         parameter("keepalive", &MqttConfig::keepalive, "longest silence of a side before it sends a ping",
                   range(5s, 18h)),

@@ -88,8 +88,8 @@ struct LiveCounts {
 
 /// The pace of batches, for writers where each batch has a fixed cost.
 struct StorePace {
-  /// 0: a batch is stored as soon as `batch_rows` events wait. Otherwise a batch has all events of `batch_time`; it is
-  /// stored earlier if it uses this much memory of the queue.
+  /// 0: a batch is stored as soon as `batch_rows` events wait. Other values: a batch holds all events of `batch_time`,
+  /// and is stored earlier when it uses this much memory of the queue.
   std::size_t bytes = 0;
   /// The longest wait before an account with only new counts is stored; earlier after `account_events` events.
   Duration account_time{0};

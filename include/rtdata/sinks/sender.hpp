@@ -39,18 +39,19 @@ struct SendingConfig {
   std::size_t parcel_rows = 100;                    ///< events of a parcel, at most
   std::size_t parcel_bytes = std::size_t{1} << 20;  ///< a parcel is complete at this size
   Duration timeout = std::chrono::seconds{30};      ///< after this time without an answer, a parcel is sent again
-  std::uint64_t bytes_per_second = 0;               ///< sent, on average; 0: no limit
+  std::uint64_t bytes_per_second = 0;               ///< most to send, on average; 0: no limit
 
   friend constexpr auto parameters(type_tag<SendingConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("window", &SendingConfig::window, "parcels that are under way at a time", range(1, 1000)),
-        parameter("parcel_rows", &SendingConfig::parcel_rows, "events of a parcel, at most", range(1, 100'000)),
+        parameter("window", &SendingConfig::window, "how many parcels may be under way at a time", range(1, 1000)),
+        parameter("parcel_rows", &SendingConfig::parcel_rows, "most events in a parcel", range(1, 100'000)),
         parameter("parcel_bytes", &SendingConfig::parcel_bytes, "a parcel takes no more events once it has this size",
                   unit("By"), range(1.0, 268435456.0)),
         parameter("timeout", &SendingConfig::timeout, "a parcel without an answer for this long is sent again",
                   range(10ms, 1h)),
-        parameter("bytes_per_second", &SendingConfig::bytes_per_second, "sent, on average; 0: no limit", unit("By/s")));
+        parameter("bytes_per_second", &SendingConfig::bytes_per_second,
+                  "most bytes to send per second, on average; 0: no limit", unit("By/s")));
   }
 };
 

@@ -75,14 +75,15 @@ struct SinkConfig {
   friend constexpr auto parameters(type_tag<SinkConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("name", &SinkConfig::name, "in reports and in the ledger; each kind has a default", TextIs::name),
+        parameter("name", &SinkConfig::name, "name in reports and in the ledger; each kind has a default",
+                  TextIs::name),
         parameter("topics", &SinkConfig::topics, "which topics: names or patterns, + for one level, # for all below",
                   TextIs::topic_pattern),
         parameter("batch_rows", &SinkConfig::batch_rows, "events that are stored together (sqlite: all of batch_time)",
                   range(1, 1'000'000)),
         parameter("batch_time", &SinkConfig::batch_time, "a batch is stored after this time, however small it is",
                   range(1ms, 1h)),
-        parameter("queue_bytes", &SinkConfig::queue_bytes, "memory for events that wait, at most", unit("By"),
+        parameter("queue_bytes", &SinkConfig::queue_bytes, "most memory for events that wait", unit("By"),
                   range(262144.0, 68719476736.0)),
         parameter("when_full", &SinkConfig::when_full, "what is dropped when that memory is full"),
         parameter("retry_first", &SinkConfig::retry_first, "delay after a failed batch; it doubles with each failure",
@@ -93,7 +94,8 @@ struct SinkConfig {
         parameter("through", &SinkConfig::through,
                   "name of a recording: events are taken from there, and wait there while the peer is away",
                   names_part("sink", "sqlite")),
-        parameter("from", &SinkConfig::from, "with `through`, at the first start: what comes now, or all there is"));
+        parameter("from", &SinkConfig::from,
+                  "with `through`, at the first start: send what comes from now on, or all that is recorded"));
   }
 };
 
@@ -231,8 +233,8 @@ class Sink : public Handle {
   /// Takes no more events, and stores the queue while the loop turns, for `close_deadline` at most; then calls `done`
   /// with the number of lost events. Close the sink after that, but not inside `done`.
   void finish(Callback<void(std::uint64_t lost)> done);
-  /// Of one that finishes: a sink of this name that is made before its end opens nothing until then, and queues what
-  /// comes. They have one file.
+  /// For a sink that finishes: a new sink of this name with the same file opens nothing until the old one has ended; it
+  /// queues its events until then.
   void end_before(const std::string& successor);
 };
 

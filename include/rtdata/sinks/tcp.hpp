@@ -60,16 +60,16 @@ struct TcpConfig {
     return parameter_list(
         parameter("host", &TcpConfig::host, "the server: a name or an address", required),
         parameter("port", &TcpConfig::port, "its port", required, at_least(1)),
-        parameter("format", &TcpConfig::format, "jsonl (a JSON object a line), cbor, influx, or raw"),
-        parameter("sequence", &TcpConfig::sequence, "of raw: whether the sequence number is sent, after the origin",
+        parameter("format", &TcpConfig::format, "jsonl (a JSON object per line), cbor, influx, or raw"),
+        parameter("sequence", &TcpConfig::sequence, "only with raw: send the sequence number after the origin",
                   only_with("format", "raw")),
         parameter("acknowledge", &TcpConfig::acknowledge,
                   "how the peer confirms each event: not at all, by a byte (0x06, or 0x15: refused), by a line (ok, or "
                   "no and a reason)"),
-        parameter("tls", &TcpConfig::tls, "encrypted; {} is enough where the server's certificate is a public one"),
+        parameter("tls", &TcpConfig::tls,
+                  "encryption; {} is enough if a public authority signed the server's certificate"),
         parameter("connect_timeout", &TcpConfig::connect_timeout,
-                  "how long each of the host's addresses is waited for, and then the TLS handshake",
-                  range(10ms, 10min)),
+                  "how long to wait for each address of the host, and then for the TLS handshake", range(10ms, 10min)),
         include_member(&TcpConfig::sending), include_member(&TcpConfig::sink));
   }
 };

@@ -4,8 +4,8 @@
 ///
 ///     {"timestamp":1772366400.25,"room/climate":{"temperature":21.5,"origin":"chamber","sequence":7,"run":"9f1c"}}
 ///
-/// `timestamp` is in seconds since the Unix epoch, the fields stand under their topic. Any other format of the registry
-/// can be sent, an event a datagram ("cbor", "influx", "raw").
+/// `timestamp` is in seconds since the Unix epoch, the fields are below their topic. Any other format of the registry
+/// can be sent, one event per datagram ("cbor", "influx", "raw").
 ///
 /// No guarantees: events may be lost or arrive in another order; an event counts as sent when the kernel has taken it.
 /// If the network reports that nobody listens at the peer, this is reported and counted as refused (one event for each

@@ -176,8 +176,8 @@ int bench(const BenchOptions& options) {
   if (options.cpu) {
     const cpu_set_t there = detail::bindable_processors();
     if (*options.cpu < 0 || *options.cpu >= CPU_SETSIZE || !CPU_ISSET(static_cast<std::size_t>(*options.cpu), &there)) {
-      std::cerr << "rtdata: --cpu " << *options.cpu << ": this program may use no such processor: there are "
-                << detail::list_of(there) << std::endl;
+      std::cerr << "rtdata: --cpu " << *options.cpu
+                << ": this program may not use this processor; available: " << detail::list_of(there) << std::endl;
       return exit_other;
     }
   }

@@ -50,7 +50,7 @@ std::string set_rate(System& system, const Words& words, std::string_view) {
 std::string acknowledge(System& system, const Words& words, std::string_view) {
   (void)system.sensor(words[1]);  // throws with the nearest name if there is none
   auto* const limit = system.parts().find<LimitSensor>("sensor", words[1]);
-  if (limit == nullptr) throw std::invalid_argument("sensor " + words[1] + " is no limit");
+  if (limit == nullptr) throw std::invalid_argument("sensor " + words[1] + " is not a limit");
   return limit->acknowledge() ? "the alarm of " + words[1] + " is acknowledged"
                               : "there is no alarm of " + words[1] + " to acknowledge";
 }
@@ -76,7 +76,7 @@ std::string set(System& system, const Words& words, std::string_view by) {
 std::string control(System& system, const Words& words, std::string_view) {
   Output& output = system.parts().get<Output>("output", words[1]);
   if (words[2] != "setpoint")
-    throw std::invalid_argument("\"" + words[2] + "\" of a controller cannot be commanded; it is written `" +
+    throw std::invalid_argument("\"" + words[2] + "\" of a controller cannot be commanded; write `" +
                                 "pid OUTPUT setpoint VALUE`, and its gains are changed by a reload");
   output.change_setpoint(number_of(words[3], "number")).or_throw();
   return "the set point of output " + words[1] + " is " + words[3] + " until the next reload";
@@ -133,7 +133,7 @@ const std::vector<Verb>& verbs() {
       {"tare",
        1,
        2,
-       {"tare SENSOR[.FIELD] [--clear]", "let its value read 0 now, and from the next start on; or no more"},
+       {"tare SENSOR[.FIELD] [--clear]", "make its value read 0, now and after each start; --clear: no longer"},
        nullptr},
       {"reload", 0, 0, {"reload", "read the configuration again, and apply what has changed"}, nullptr},
   };
@@ -156,11 +156,11 @@ const Verb* verb_of(const Words& words, std::string& why) {
     return nullptr;
   }
   if (words.size() - 1 < verb->least || words.size() - 1 > verb->most)
-    why = std::string("it is written `") + verb->help.words + "`";
+    why = std::string("write it as `") + verb->help.words + "`";
   // The text for the recording.
   const std::string all = detail::listed(words, " ");
   if (why.empty() && all.size() > longest_command)
-    why = "it has " + std::to_string(all.size()) + " bytes, of " + std::to_string(longest_command) + " at most";
+    why = "it has " + std::to_string(all.size()) + " bytes, more than " + std::to_string(longest_command);
   if (why.empty() && std::any_of(all.begin(), all.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; }))
     why = "it has a control character, such as the end of a line";
   return why.empty() ? &*verb : nullptr;

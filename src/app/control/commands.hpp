@@ -81,7 +81,7 @@ class CommandDesk {
   Feed<CommandRecord> record_;  // made at the first command
 };
 
-/// The commands with their arguments, for people: "rate SENSOR RATE".
+/// The commands with their arguments, for help texts: "rate SENSOR RATE".
 struct CommandHelp {
   const char* words;
   const char* meaning;

@@ -160,7 +160,7 @@ struct ControlSocket::Job final : detail::LaneJob {
   void done(Outcome outcome) override {
     if (!*is_alive_) return;
     --lane_.answers;
-    // Of a late one the lane's thread still has the text.
+    // If the answer is late, the lane's thread still has the text.
     to_.answered(client_, outcome == Outcome::finished ? std::move(text_) : answer_line("error", "no answer in time"));
   }
 
@@ -245,7 +245,7 @@ void ControlSocket::listen() {
     close_pipe(std::exchange(server_, nullptr));
   }
   throw SetupError({Errc::io_failed, "cannot open the control socket", "local socket", why,
-                    "`rtdata top` does not see this instance; all else works"});
+                    "`rtdata top` does not see this instance; everything else works"});
 }
 
 void ControlSocket::accept() {
@@ -457,8 +457,8 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
       }
       if (size > 0) rest_.append(buffer, static_cast<std::size_t>(size));
       if (rest_.size() > longest_answer)
-        return Error{Errc::bad_data, "no answer", "instance", "what it sends has no end of a line in 256 MiB",
-                     "see what listens there"};
+        return Error{Errc::bad_data, "no answer", "instance", "it sent 256 MiB without the end of a line",
+                     "check what listens there"};
     }
   }
 }

@@ -54,7 +54,7 @@ class ControlSocket {
   /// The client according to the kernel: "uid 1000, pid 4711"; "somebody" after the connection has ended.
   std::string peer_of(std::uint64_t client) noexcept;
   /// To be called while it is answered: the connection as a descriptor of the caller's, which does not block. The
-  /// socket knows the client no more; what that has sent behind the line is left out. -1: there is no descriptor, and
+  /// socket no longer knows the client, and ignores what it sent after the line. -1: there is no descriptor, and
   /// it stays.
   int take_over(std::uint64_t client) noexcept;
 

@@ -22,10 +22,10 @@ struct PackedEvent {
   std::uint32_t payload_bytes = 0;
   std::uint16_t topic_bytes = 0;
   std::uint16_t origin_bytes = 0;
-  std::uint32_t run = 0;  ///< number in the recording that it was read from; 0: it comes live
+  std::uint32_t run = 0;  ///< number of the run in the recording that it was read from; 0: a live event
   std::int64_t time = 0;
   std::uint64_t sequence = 0;
-  const Description* description = nullptr;  ///< null: no event, but all of the origin up to this one had no room
+  const Description* description = nullptr;  ///< null: not an event: all of the origin up to this one had no room
 
   static std::size_t bytes_of(std::string_view topic, std::string_view origin, std::size_t payload) noexcept {
     return rounded(sizeof(PackedEvent) + topic.size() + 1 + origin.size()) + rounded(payload);
@@ -50,7 +50,7 @@ struct PackedEvent {
     if (!payload.empty()) std::memcpy(to + head->bytes - rounded(payload.size()), payload.data(), payload.size());
   }
 
-  /// Topic and origin: what a sequence belongs to.
+  /// Topic and origin, to which a sequence belongs.
   std::string_view key() const noexcept { return {texts(), std::size_t{topic_bytes} + 1 + origin_bytes}; }
   bool is_mark() const noexcept { return topic_bytes == 0; }  ///< see LiveFeed::mark
   std::string_view topic() const noexcept { return {texts(), topic_bytes}; }
@@ -78,18 +78,18 @@ class EventRing {
     const std::size_t head = head_.load(std::memory_order_relaxed);
     const std::size_t tail = tail_.load(std::memory_order_acquire);
     const std::size_t to_end = size - head % size;
-    // While all is taken it stays in the memory that the processor's cache has.
+    // When all is taken, it stays at the place that is in the processor's cache.
     const bool begins_anew = head == tail && head % size > near;
     const std::size_t skipped = begins_anew || to_end < bytes ? to_end : 0;
     if (size - (head - tail) < skipped + bytes) return false;
     if (skipped > 0)
-      std::memset(memory_.get() + head % size, 0, sizeof(PackedEvent::bytes));  // goes on at the beginning
+      std::memset(memory_.get() + head % size, 0, sizeof(PackedEvent::bytes));  // continues at the beginning
     PackedEvent::put(memory_.get() + (head + skipped) % size, topic, header, description, payload, 0);
     head_.store(head + skipped + bytes, std::memory_order_release);
     return true;
   }
 
-  /// Calls the function with each copy that is there now.
+  /// Calls the function with each copy in the ring.
   template <class Function>
   void take(Function&& function) {
     const std::size_t head = head_.load(std::memory_order_acquire);

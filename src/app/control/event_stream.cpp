@@ -24,7 +24,7 @@ constexpr Duration step_grace = std::chrono::milliseconds{100};  // events of ot
 constexpr Duration silence = std::chrono::seconds{1};
 constexpr Duration shortest_step = std::chrono::milliseconds{1}, longest_step = std::chrono::hours{24};
 
-/// When a step that ends then is over.
+/// The time from which on a step that ends at `end` is complete.
 Time later_by_grace(Time end) { return end > Time::max() - step_grace ? end : end + step_grace; }
 
 std::string quoted(std::string_view text) { return Json(text).dump(-1, ' ', false, Json::error_handler_t::replace); }
@@ -135,7 +135,7 @@ Result<StreamRequest> stream_request(std::string_view line) {
     } else if (key == "of" && value.is_string()) {
       request.of = value.get<std::string>();
     } else {
-      return refused("there is no \"" + key + "\" like this; there are \"topics\", \"step\", \"from\" and \"of\"");
+      return refused("there is no \"" + key + "\" like this; available: \"topics\", \"step\", \"from\" and \"of\"");
     }
   }
   if (!request.of.empty() && !request.wants_past())

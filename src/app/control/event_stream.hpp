@@ -19,23 +19,23 @@
 
 namespace rtdata::app {
 
-/// What a reader asks for.
+/// The request of a reader.
 struct StreamRequest {
   static constexpr std::size_t most_topics = 64;
   std::vector<std::string> topics = {"#"};  ///< patterns
   Duration step{0};                         ///< 0: each event
   std::optional<Time> from = {};            ///< none: now
-  std::optional<Duration> ago = {};         ///< the same, as so long before now
-  std::string of = {};  ///< the sink whose recording has what was before; empty: the first that fits
+  std::optional<Duration> ago = {};         ///< the same, as a time before now
+  std::string of = {};  ///< the sink whose recording has the earlier events; empty: the first that fits
   Duration pace = std::chrono::milliseconds{10};  ///< of what is sent; at least
 
   bool wants_past() const noexcept { return from || ago; }
-  /// Its patterns match the topic.
+  /// True if its patterns match the topic.
   bool names(std::string_view topic) const noexcept;
   /// Every reader gets these, too, as they come.
   static bool is_beside(std::string_view topic) noexcept;
 };
-/// Whether a line of the control socket is a request for events.
+/// True if a line of the control socket is a request for events.
 bool asks_for_events(std::string_view line);
 /// Errors: bad-argument, whose `why` answers the reader.
 Result<StreamRequest> stream_request(std::string_view line);
@@ -58,7 +58,7 @@ class StreamOrigins {
   std::unordered_map<std::string, StreamOrigin, Hash, std::equal_to<>> all_;
 };
 
-/// The line of one event, made when it is first wanted, for all streams.
+/// The line of one event, made when it is first needed, for all streams.
 class EventLine {
  public:
   void set(const PackedEvent& event) noexcept {
@@ -79,7 +79,7 @@ class StepSums {
   bool is_empty() const noexcept { return count_ == 0; }
   Time from() const noexcept { return from_; }
   Time until() const noexcept { return until_; }
-  /// The events of this description are of the same fields: it goes on with them.
+  /// The events of this description have the same fields: continues with them.
   bool goes_on_with(const Description* description);
   const Description* description() const noexcept { return description_; }
   /// The first event of a step.
@@ -104,10 +104,10 @@ class StepSums {
   std::vector<Number> numbers_;
 };
 
-/// Turns events into the text that one reader is to get. What waits for it is bounded: behind `most_bytes`, events are
-/// counted and summed up until it has read most of that.
+/// Turns events into the text for one reader. The waiting text is limited: beyond `most_bytes`, events are counted and
+/// summed up until the reader has read most of it.
 ///
-/// Owner and thread: the readers'. Who sends the text says what was sent.
+/// Owner and thread: the readers'. The code that sends the text reports how much was sent.
 class EventStream {
  public:
   static constexpr std::size_t most_bytes = std::size_t{256} << 10;
@@ -115,16 +115,17 @@ class EventStream {
   /// `recording`: the sink that is read first; empty: it begins live.
   EventStream(StreamRequest request, std::string_view run, std::string_view recording);
   void take(const PackedEvent& event, const StreamOrigin& origin, EventLine& line);
-  /// After events came, and from time to time without any: steps that are over, what was left out, a sign of life.
+  /// Called after events, and from time to time without any: adds complete steps, counts of dropped events, a sign of
+  /// life.
   void turn(Time now);
-  /// What comes next is of this run, until the next call: sequences begin again.
+  /// Later events belong to this run, until the next call: sequences begin again.
   void begin_run(std::string_view uuid);
-  /// What comes from now on comes live.
+  /// Events from now on are live.
   void go_live(Time now);
   bool is_live() const noexcept { return is_live_; }
   Duration pace() const noexcept { return request_.pace; }
   bool takes(std::string_view topic) const noexcept { return StreamRequest::is_beside(topic) || request_.names(topic); }
-  /// It comes live from the beginning, whatever is read from a recording.
+  /// True for topics that are live from the beginning, even while a recording is read.
   bool takes_beside(std::string_view topic) const noexcept {
     return StreamRequest::is_beside(topic) && !request_.names(topic);
   }
@@ -138,10 +139,10 @@ class EventStream {
   struct State {
     bool is_known = false;  // the two below
     bool is_taken = false;
-    bool has_units = false;  // they were told
-    std::uint64_t last = 0;  // sequence that was given, summed up or told as dropped; 0: none
+    bool has_units = false;  // they were sent
+    std::uint64_t last = 0;  // last sequence that was sent, summed up or counted as dropped; 0: none
     StepSums step;
-    StepSums held;  // of what is left out
+    StepSums held;  // of the dropped events
     const StreamOrigin* origin = nullptr;
   };
   State& state_of(const StreamOrigin& origin);

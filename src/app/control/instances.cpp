@@ -79,8 +79,8 @@ std::optional<FoundInstance> choose_instance(const std::string& wanted, const ch
   if (instances.empty()) {
     std::cerr << "rtdata: no instance is running that this user may see; `rtdata run FILE` starts one" << std::endl;
     for (const std::string& folder : closed_folders())
-      std::cerr << "rtdata: " << folder << " is of another user, such as a service: `sudo rtdata " << command << "`"
-                << std::endl;
+      std::cerr << "rtdata: " << folder << " belongs to another user, such as a service: `sudo rtdata " << command
+                << "`" << std::endl;
     return std::nullopt;
   }
   std::vector<const Found*> all, matching;
@@ -95,7 +95,7 @@ std::optional<FoundInstance> choose_instance(const std::string& wanted, const ch
   }
   if (matching.empty()) {
     std::cerr << "rtdata: no running instance" << (all_answer ? "" : " that answers") << " is called \"" << wanted
-              << "\"; there are:\n"
+              << "\"; running:\n"
               << list_of(all) << (all_answer ? "" : "name one that does not answer by its pid\n") << std::flush;
     return std::nullopt;
   }

@@ -30,7 +30,7 @@ struct FoundInstance {
 /// have arrived yet. Empty result: the reason was printed, and `status` is the exit status of the program.
 std::optional<FoundInstance> choose_instance(const std::string& wanted, const char* command, int& status);
 
-/// Whether a running instance has this name or pid.
+/// True if a running instance has this name or pid.
 bool is_instance(const std::string& word);
 
 Error instance_does_not_answer();

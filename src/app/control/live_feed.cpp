@@ -13,7 +13,7 @@ bool covers(std::string_view outer, std::string_view inner) noexcept {
 }
 
 void LiveFeed::bring(const std::string& pattern) {
-  // A wider one is never given up for a narrower one: what it has queued would be lost.
+  // A wider subscription is never replaced by a narrower one: its queued events would be lost.
   const bool is_there = std::any_of(subscriptions_.begin(), subscriptions_.end(),
                                     [&](const auto& one) { return covers(one.first, pattern); });
   if (is_there) return;
@@ -40,7 +40,7 @@ void LiveFeed::take(const EventView& event) {
   if (std::exchange(last_, description) != description && !ring_->descriptions.contains(description))
     keep(*description);
   if (!lost_.empty()) tell_lost();
-  // Of an origin that lost some, the loss is told before the next one.
+  // If an origin lost events, the loss is sent before its next event.
   if (lost_.empty() && ring_->put(event.topic(), event.header(), &event.description(), event.payload())) return;
   std::string key = std::string(event.topic()) + '\0' + std::string(event.origin());
   Lost& lost = lost_[std::move(key)];

@@ -1,4 +1,4 @@
-// What is published now, as copies for the thread of the readers.
+// Copies of the events published now, for the thread of the readers.
 #pragma once
 
 #include <atomic>
@@ -15,31 +15,31 @@
 
 namespace rtdata::app {
 
-/// Whether topics that match the pattern `inner` all match `outer`, too.
+/// True if all topics that match the pattern `inner` also match `outer`.
 bool covers(std::string_view outer, std::string_view inner) noexcept;
 
 /// The side of the main loop. While nobody reads it subscribes to nothing. An event costs this loop a copy, however
-/// many read it; one that finds no room is left out, and its number is told with the next of its origin, or when the
+/// many read it; one without room is skipped, and counted with the next of its origin, or when the
 /// readers ask.
 ///
 /// Owner: the program; the ring is shared with the readers, who may be late. Thread: the loop's.
 class LiveFeed {
  public:
   struct Ring : EventRing {
-    std::atomic<bool> has_lost{false};  ///< something had no room, and is not told yet
-    /// Of all events that it has brought: a topic may be gone, and the program may end, before the readers come to its
+    std::atomic<bool> has_lost{false};  ///< an event had no room, and this is not reported yet
+    /// The descriptions of all its events: a topic may be gone, and the program may end, before the readers come to its
     /// events. The loop's side only.
     std::unordered_map<const Description*, std::shared_ptr<const Description>> descriptions = {};
   };
 
   explicit LiveFeed(Loop& loop) : loop_(loop) {}
 
-  /// From now on it brings these topics, too, until `end`.
+  /// From now on it also copies these topics, until `end`.
   void bring(const std::string& pattern);
   void end();
-  /// Puts a mark, in place of an event, behind what came up to now. False: there is no room.
+  /// Puts a mark after the events up to now. False: there is no room.
   bool mark(std::uint64_t number);
-  /// Tells what had no room, as far as there is room now.
+  /// Reports events without room, as far as there is room now.
   void tell_lost();
   const std::shared_ptr<Ring>& ring() const noexcept { return ring_; }
 

@@ -1,4 +1,4 @@
-// What a recording has, for a stream that begins before now.
+// The recorded events, for a stream that begins before now.
 #pragma once
 
 #include <cstddef>
@@ -17,16 +17,16 @@ class PastReader {
  public:
   struct Slice {
     std::vector<std::byte> events;                            ///< PackedEvents, with the number of their run
-    std::vector<std::pair<std::uint32_t, std::string>> runs;  ///< new ones: number and uuid; the last goes on
-    bool has_more = false;                                    ///< by now
-    std::string failed;                                       ///< why it ends here; empty: it does not
+    std::vector<std::pair<std::uint32_t, std::string>> runs;  ///< new ones: number and uuid; the last is still recorded
+    bool has_more = false;                                    ///< more is stored by now
+    std::string failed;                                       ///< the reason why reading ends here; empty: it continues
   };
   virtual ~PastReader() = default;
   /// The next 256 KiB at most, in a transaction of about 100 ms. Blocks on the disk.
   virtual Slice read() noexcept = 0;
 };
 
-/// Of the recording in this file, to which a sink of this program writes.
+/// A reader of the recording in this file, which a sink of this program writes.
 std::unique_ptr<PastReader> make_past_reader(std::string path, std::vector<std::string> topics, Time from);
 
 }  // namespace rtdata::app

@@ -25,7 +25,7 @@ namespace rtdata::app {
 namespace {
 
 constexpr Duration idle_pace = std::chrono::milliseconds{100};  // while nobody reads
-constexpr Duration look_pace = std::chrono::milliseconds{50};   // of the main loop, at what the thread wants of it
+constexpr Duration look_pace = std::chrono::milliseconds{50};   // how often the main loop checks requests of the thread
 constexpr Duration longest_reading = std::chrono::seconds{30};  // of a slice: a disk may stall
 constexpr Duration end_patience = std::chrono::milliseconds{300};
 constexpr Duration thread_patience = std::chrono::seconds{2};
@@ -35,7 +35,7 @@ constexpr std::size_t most_beside = std::size_t{256} << 10;
 
 }  // namespace
 
-/// What the loop and the thread both have: the one may be late with its end.
+/// The data shared by the loop and the thread, either of which may end later.
 struct Readers::Shared {
   struct Arrival {
     Arrival() = default;
@@ -64,8 +64,8 @@ struct Readers::Shared {
   std::atomic<std::size_t> readers{0};
   std::atomic<bool> quit{false};
   std::atomic<bool> is_broken{false};         // the thread cannot serve
-  std::atomic<std::uint64_t> asked_mark{0};   // the last that the thread wants
-  std::atomic<std::uint64_t> stored_mark{0};  // what was published before it can be read in the recordings
+  std::atomic<std::uint64_t> asked_mark{0};   // the last mark that the thread requested
+  std::atomic<std::uint64_t> stored_mark{0};  // events published before this mark can be read in the recordings
 
   // The thread's
   void serve() noexcept;
@@ -91,7 +91,7 @@ struct Readers::Shared::Connection {
   Connection& operator=(const Connection&) = delete;
   ~Connection() { ::close(fd); }
 
-  /// As much as it takes now.
+  /// Sends as much as the reader takes now.
   void send() {
     while (!has_gone && !is_full && !stream.text().empty()) {
       const ssize_t size = ::send(fd, stream.text().data(), stream.text().size(), MSG_DONTWAIT | MSG_NOSIGNAL);
@@ -105,13 +105,13 @@ struct Readers::Shared::Connection {
     }
     has_gone = has_gone || (has_ended && stream.text().empty());
   }
-  /// It reads fast enough for more of what was before now, of which nothing is dropped.
+  /// True if it reads fast enough for more recorded events, of which none are dropped.
   bool has_room() const noexcept { return stream.text().size() < EventStream::most_bytes / 2; }
-  /// The run that goes on; empty: its recording has none.
+  /// The current run; empty: its recording has none.
   std::string_view current_run() const { return runs.empty() ? std::string_view() : runs.rbegin()->second; }
-  /// Keeps what comes live for later.
+  /// Keeps live events for later.
   void keep(const PackedEvent& event) {
-    if (kept.size() + event.bytes > most_kept) {  // the recording has it, and is read on
+    if (kept.size() + event.bytes > most_kept) {  // the recording has it, and will be read further
       kept.clear();
       given_of_kept = 0;
       step = Step::reads;
@@ -121,8 +121,8 @@ struct Readers::Shared::Connection {
     kept.insert(kept.end(), bytes, bytes + event.bytes);
   }
 
-  /// Keeps what is of this run, and not of the one that is being read. False: there is no room; it is given at once,
-  /// under the name of that run.
+  /// Keeps an event of the current run while an earlier run is read. False: there is no room; it is sent at once, under
+  /// the name of the earlier run.
   bool keep_beside(const PackedEvent& event) {
     if (beside.size() + event.bytes > most_beside) return false;
     const auto* const bytes = reinterpret_cast<const std::byte*>(&event);
@@ -138,9 +138,9 @@ struct Readers::Shared::Connection {
 
   // While it is not live
   enum class Step {
-    reads,    // what is stored by now
+    reads,    // the events stored until now
     waits,    // for the mark
-    settles,  // until what was before the mark is stored
+    settles,  // until the events before the mark are stored
     ends      // reads that
   };
   std::shared_ptr<PastReader> past;  // also later: descriptions are its
@@ -166,7 +166,7 @@ struct Readers::Shared::Reading final : detail::LaneJob {
     is_late = outcome != Outcome::finished;
   }
   const std::shared_ptr<PastReader> from;
-  PastReader::Slice slice;  // of a late one the lane's thread still has it
+  PastReader::Slice slice;  // if the job is late, the lane's thread still has it
   bool is_late = false;
   bool is_done = false;
 };
@@ -337,7 +337,7 @@ Readers::~Readers() {
   if (ended_.wait_for(thread_patience) == std::future_status::ready) {
     thread_.join();
   } else {
-    thread_.detach();  // it has not got the processor; it touches what it shares, and nothing else
+    thread_.detach();  // the thread did not get the processor; it touches only shared data
   }
 }
 
@@ -360,7 +360,7 @@ std::string Readers::refusal(const StreamRequest& request) const {
   if (request.from && *request.from > loop_.time()) return "\"from\" is an instant that has not come yet";
   if (request.wants_past() && recording_for(request) == nullptr) {
     return request.of.empty() ? "no recording has these topics, so that their earlier events are not known: "
-                                "leave \"from\" out"
+                                "remove \"from\""
                               : "there is no recording of a sink \"" + request.of + "\"";
   }
   if (shared_->readers.load(std::memory_order_acquire) < settings_.most) return {};
@@ -419,7 +419,7 @@ void Readers::put_marks() {
   if (asked == marked_ && marks_.empty()) return;
   std::map<std::string, const SinkStatus*> sinks;
   const std::vector<SinkStatus> all = loop_.runtime().sinks();
-  for (const SinkStatus& sink : all) sinks[sink.name] = &sink;  // of one name, the one that is there
+  for (const SinkStatus& sink : all) sinks[sink.name] = &sink;  // of several with one name, the one that exists
   if (asked != marked_ && feed_.mark(asked)) {
     Mark& mark = marks_.emplace_back();
     mark.number = marked_ = asked;

@@ -1,5 +1,5 @@
-// Those who read events of a running instance through its control socket (docs/subscribe.md), and the thread that
-// serves them.
+// The clients that read events of a running instance through its control socket (docs/subscribe.md), and the thread
+// that serves them.
 #pragma once
 
 #include <cstddef>
@@ -21,15 +21,15 @@
 namespace rtdata::app {
 
 /// Serves readers on a thread of its own, made for the first of them, with the least priority that shares the processor
-/// (nice 19). It makes the text and sends it; what it does not come to is dropped, counted and told to the reader. The
-/// loop pays for a copy of each event, whether one reads it or all; it never waits for the thread, nor that for it.
+/// (nice 19). It makes the text and sends it; events for which it has no time are dropped, counted and reported to the
+/// reader. The loop makes one copy of each event, for any number of readers. Neither waits for the other.
 ///
-/// One that begins before now gets what its recording has, then what comes live, each event once: by origin and
-/// sequence. To go over, the thread asks for a mark between the events that come live. What was published before the
-/// mark had been offered to the recording by then; when that has stored it, all that is before the mark can be read.
-/// What comes behind the mark is kept meanwhile, and what of it has been read already is left out.
+/// A reader that begins before now gets recorded events, then live ones, each once, by origin and sequence. For the
+/// change, the thread requests a mark between the live events. Events published before the mark had been offered to the
+/// recording by then; when it has stored them, all events before the mark can be read.
+/// Events after the mark are kept meanwhile; those that have been read already are skipped.
 ///
-/// Memory: a ring of 4 MiB, and about 256 KiB a reader; 5 MiB while it reads what was before now.
+/// Memory: a ring of 4 MiB, and about 256 KiB per reader; 5 MiB while it reads recorded events.
 ///
 /// Owner: the program; gone before the loop's runtime is. Thread: the loop's.
 class Readers {
@@ -41,7 +41,7 @@ class Readers {
   /// Tells them that the run has ended.
   ~Readers();
 
-  /// A sink in whose file is what was before now.
+  /// A sink whose file has the earlier events.
   struct Recording {
     std::string sink, path;
     std::vector<std::string> topics;  ///< patterns that it takes
@@ -50,16 +50,16 @@ class Readers {
     std::size_t most = 0;  ///< readers at a time
     std::vector<Recording> recordings = {};
   };
-  /// From the next reader on.
+  /// Sets the limit for later readers.
   void set(Settings settings) { settings_ = std::move(settings); }
-  /// Why this one is refused; empty: it is not.
+  /// The reason why this reader is refused; empty: it is not.
   std::string refusal(const StreamRequest& request) const;
   /// From now on the connection, a descriptor that never blocks, is this object's.
   void add(int fd, StreamRequest request);
 
  private:
   struct Shared;
-  /// What sinks had been offered when a mark was put: of recordings, by name.
+  /// The number of events offered to the recordings when a mark was put, by name.
   struct Mark {
     std::uint64_t number = 0;
     std::map<std::string, std::uint64_t> offered;

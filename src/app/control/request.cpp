@@ -24,7 +24,7 @@ std::string refusal_of(std::string_view line) {
   if (*what == "command") return "\"words\" of a command must be a list of at least one string";
   if (*what != "status")
     return "there is no request \"" + what->get<std::string>() +
-           "\"; there are \"status\", \"command\" and \"subscribe\"";
+           "\"; available: \"status\", \"command\" and \"subscribe\"";
   return {};
 }
 

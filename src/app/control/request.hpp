@@ -8,11 +8,11 @@
 
 namespace rtdata::app {
 
-/// Why a line is not a status request; empty: it is one.
+/// The reason why a line is not a status request; empty: it is one.
 std::string refusal_of(std::string_view line);
 /// The words of a command; empty: the line is not a command.
 std::vector<std::string> command_words(std::string_view line);
-/// Why a request is of a version that this program does not know; empty: it knows it.
+/// The error of a request whose version this program does not know; empty: it knows it.
 std::string refusal_of_version(const nlohmann::ordered_json& request);
 /// {"KEY":"TEXT"}, without a line's end.
 std::string answer_line(std::string_view key, std::string_view text);

@@ -57,7 +57,7 @@ struct Status {
     bool is_running = false;
     std::optional<double> wanted_hz, reached_hz;  ///< reached: over the last seconds
     std::optional<Lateness> lateness;             ///< of the last whole second
-    std::optional<std::string> value;             ///< the last one, for people
+    std::optional<std::string> value;             ///< the last one, as readable text
     std::optional<Alarm> alarm;                   ///< of a limit
     std::optional<std::string> state;             ///< of a machine
     std::optional<Duration> in_state;
@@ -79,7 +79,7 @@ struct Status {
     std::optional<Lateness> lateness;    ///< of its sensors together
     std::vector<std::string> warnings;
     std::optional<std::string> hangs_in;  ///< the callback in which a tier has been for more than a second
-    Duration processor_time{0};           ///< used so far by the process itself
+    Duration processor_time{0};           ///< used by the process itself until now
   };
   struct Sink {
     std::string name, path;
@@ -120,7 +120,7 @@ struct Status {
   std::uint64_t queued = 0;   ///< in sinks
   std::uint64_t waiting = 0;  ///< in recordings, to be sent
   std::vector<Loop> loops;
-  std::vector<Sensor> sensors;  ///< that are there now
+  std::vector<Sensor> sensors;  ///< the present ones
   std::vector<Account> topics;
   std::vector<Sink> sinks;  ///< first those that were closed
   std::vector<Part> parts;

@@ -44,9 +44,9 @@ class TimeCounts {
 class Pace {
  public:
   void add(std::uint64_t count, MonotonicTime at);
-  /// It increased to `count` then: what was added before, at a time between two increases, is left out.
+  /// The count increased to `count` at this time: begins here, without what was added before.
   void begin(std::uint64_t count, MonotonicTime at) { marks_.assign(1, {count, at}); }
-  /// Empty: not known yet. `period`: how long it may stay as it is.
+  /// Empty: not known yet. `period`: how long the count may stay unchanged.
   std::optional<double> per_second(MonotonicTime now, Duration period = Duration{0}) const noexcept;
 
  private:

@@ -1,4 +1,4 @@
-// A status as text for people, for `top`, a run on a terminal, and the tables at the end of a run.
+// A status as readable text, for `top`, a run on a terminal, and the tables at the end of a run.
 #pragma once
 
 #include <cstddef>

@@ -37,7 +37,7 @@ ConfigItem* child_of(ConfigItem& item, std::string_view key) {
   return nullptr;
 }
 
-/// That of a sensor's item, which has no mistakes.
+/// The calibration of a sensor's item, which has no mistakes.
 Processing processing_of(const ConfigItem& sensor) {
   Processing processing;
   const ConfigItem* const all = sensor.find("process");
@@ -80,7 +80,7 @@ Tares::Tares(std::string file, const std::string& configuration) : file_(std::mo
 std::string Tares::put_into(ConfigItem& root, Problems& warnings) const {
   std::string taken;
   if (!unreadable_.empty())
-    warnings.add("cannot-read", {file_, 0, 0}, "", "the tares in " + file_ + " are not taken: " + unreadable_);
+    warnings.add("cannot-read", {file_, 0, 0}, "", "the tares in " + file_ + " are not used: " + unreadable_);
   ConfigItem* const sensors = child_of(root, "sensors");
   if (sensors == nullptr) return taken;
   for (const ConfigChild& child : sensors->children()) {
@@ -111,10 +111,11 @@ std::string Tares::put_into_sensor(ConfigItem& sensor, Problems& warnings) const
       taken += (taken.empty() ? "" : ", ") + key.first + "." + key.second + " " + number_text(*tare.value);
       continue;
     }
-    if (!mistakes.empty()) continue;  // they are told
-    warnings.add(sensor.problem("no-effect", "its tare, " + number_text(*tare.value) + " of " + key.second +
-                                                 ", is not taken, since that calibration has changed; `rtdata ctl "
-                                                 "tare` takes another"));
+    if (!mistakes.empty()) continue;  // they are reported
+    warnings.add(sensor.problem(
+        "no-effect", "its tare, " + number_text(*tare.value) + " of " + key.second +
+                         ", is not used, because that calibration has changed; take another with `rtdata ctl "
+                         "tare`"));
   }
   return taken;
 }
@@ -180,7 +181,7 @@ TareDesk::~TareDesk() = default;
 void TareDesk::run(const std::vector<std::string>& words, Told told) {
   const std::string& word = words[1];
   if (words.size() > 2 && words[2] != "--clear")
-    refuse(word, "\"" + words[2] + "\" is not known", "write `tare SENSOR[.FIELD] --clear` to take it away");
+    refuse(word, "\"" + words[2] + "\" is not known", "write `tare SENSOR[.FIELD] --clear` to remove it");
   const PartPlan* plan = nullptr;
   for (const PartPlan* one : system_.parts().plans()) {
     const bool is_meant = one->kind == "sensor" && (word == one->name || word.starts_with(one->name + "."));
@@ -213,8 +214,7 @@ void TareDesk::run(const std::vector<std::string>& words, Told told) {
   taking->calibration = *what->second.calibration;
   taking->calibration.tare = 0;
   taking->told = std::move(told);
-  if (words.size() > 2)
-    return apply(*taking, std::nullopt, "the tare of " + plan->name + "." + field + " is taken away");
+  if (words.size() > 2) return apply(*taking, std::nullopt, "the tare of " + plan->name + "." + field + " is removed");
   AnySensor& sensor = system_.sensor(plan->name);
   if (!sensor.is_running()) refuse(plan->object(), "it is stopped", "start it: rtdata ctl start " + plan->name);
   const bool may_hold_back = std::any_of(taking->processing.begin(), taking->processing.end(), [](const auto& one) {

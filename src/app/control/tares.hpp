@@ -16,28 +16,28 @@
 
 namespace rtdata::app {
 
-/// Those of one configuration. Thread: any.
+/// The tares of one configuration. Thread: any.
 class Tares {
  public:
-  /// Reads the file; one that is missing has none. `configuration`: its path; tares of another one are not taken.
+  /// Reads the file; a missing file has no tares. `configuration`: its path; tares of another one are not used.
   Tares(std::string file, const std::string& configuration);
   const std::string& file() const noexcept { return file_; }
-  /// Puts them into a configuration that was read, and returns which: "scale.value 12.5". One whose calibration has
-  /// changed since is left out, with a warning.
+  /// Puts them into a configuration that was read, and returns which: "scale.value 12.5". A tare whose
+  /// calibration has changed since is skipped, with a warning.
   std::string put_into(ConfigItem& root, Problems& warnings) const;
   std::string put_into_sensor(ConfigItem& sensor, Problems& warnings) const;
-  /// Without a value: forgets it. Returns the text that the file is to have.
+  /// Without a value: forgets it. Returns the new text of the file.
   std::string set(const std::string& sensor, const std::string& field, const Calibration& of,
                   std::optional<double> tare);
 
  private:
   struct Tare {
     std::string of;                    // the calibration that it was taken with
-    std::optional<double> value = {};  // none: taken away in this run
+    std::optional<double> value = {};  // none: removed in this run
   };
   const std::string file_;
   std::string configuration_;
-  std::string unreadable_;  // why; empty: it was read
+  std::string unreadable_;  // the reason; empty: it was read
   mutable std::mutex mutex_;
   std::map<std::pair<std::string, std::string>, Tare> all_;  // by sensor and field
 };
@@ -49,8 +49,8 @@ class TareDesk {
   TareDesk(Loop& loop, System& system, Tares& tares);
   ~TareDesk();
 
-  /// `words`: "tare", SENSOR[.FIELD], perhaps "--clear". Calls back when the tare holds and is on the disk, in 4 s at
-  /// most. SetupError: it is refused.
+  /// `words`: "tare", SENSOR[.FIELD], perhaps "--clear". Calls back when the tare is applied and on the disk, within
+  /// 4 s. SetupError: it is refused.
   void run(const std::vector<std::string>& words, Told told);
   /// The run ends: answers all that wait.
   void end();
@@ -60,7 +60,7 @@ class TareDesk {
   struct Writing;
   void look(const std::shared_ptr<Taking>& taking);
   void finish(const std::shared_ptr<Taking>& taking);
-  /// Applies a tare, without a value none, and writes the file; `text` is told then.
+  /// Applies a tare (without a value: removes it) and writes the file; then answers with `text`.
   void apply(Taking& taking, std::optional<double> tare, const std::string& text);
 
   Loop& loop_;
@@ -68,7 +68,7 @@ class TareDesk {
   Tares& tares_;
   detail::Lane lane_;
   std::vector<std::shared_ptr<Taking>> taking_;
-  std::vector<std::shared_ptr<Told>> writing_;  // told when the file is written
+  std::vector<std::shared_ptr<Told>> writing_;  // called when the file is written
 };
 
 }  // namespace rtdata::app

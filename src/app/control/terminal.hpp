@@ -1,4 +1,4 @@
-// The terminal of a view that goes on until somebody ends it. Private to the program.
+// The terminal of a view that runs until somebody ends it. Private to the program.
 #pragma once
 
 #include <termios.h>
@@ -33,10 +33,10 @@ struct TerminalSize {
 };
 TerminalSize terminal_size();
 
-/// While a picture is drawn over and over: the cursor is hidden, and back afterwards, whatever ends it.
+/// While a picture is drawn again and again: hides the cursor, and shows it afterwards, whatever ends the view.
 class HiddenCursor {
  public:
-  /// False: nothing is drawn over another.
+  /// False: pictures are not drawn over each other.
   explicit HiddenCursor(bool is_hidden);
   HiddenCursor(const HiddenCursor&) = delete;
   HiddenCursor& operator=(const HiddenCursor&) = delete;

@@ -84,7 +84,7 @@ int show(FoundInstance& found, const TopOptions& options) {
     }
     if (options.how_often == HowOften::once) return exit_good;
   }
-  cursor.reset();  // before what is said of the end
+  cursor.reset();  // before the messages at the end
   if (failed.empty()) return options.how_often == HowOften::once ? exit_other : exit_good;
   if (has_ended && options.how_often == HowOften::live) {
     std::cerr << "rtdata: pid " << found.instance.pid << " has ended" << std::endl;

@@ -1,4 +1,4 @@
-// Amounts as people read them.
+// Amounts as readable text.
 #pragma once
 
 #include <cstdint>

@@ -18,7 +18,7 @@ namespace rtdata::app {
 /// The action of a subcommand after the command line is parsed; returns the exit status.
 using Action = std::function<int(const Registry&)>;
 
-/// Wraps output lines at the width of the terminal while it lives, for text for people. Not for data, and not during a
+/// Wraps output lines of text at the width of the terminal while it lives. Not for data, and not during a
 /// run, where handlers may print from any thread.
 class ForPeople {
  public:
@@ -38,7 +38,7 @@ void add_flag(CLI::App& command, const char* name, Value& to, Value is, const ch
   command.add_flag_callback(
       name, [&to, is] { to = is; }, doc);
 }
-/// Adds --json to a command that can print for people or for programs.
+/// Adds --json to a command that can print text or JSON.
 inline void add_json(CLI::App& command, ShowAs& show_as, const char* doc = "Print JSON") {
   add_flag(command, "--json", show_as, ShowAs::json, doc);
 }
@@ -71,7 +71,7 @@ Action prepare_plot(CLI::App& command);
 Action prepare_report(CLI::App& command);
 Action prepare_view(CLI::App& command);
 struct TailOptions;
-/// What tail takes beside for recordings. Returns what is done then; none: its words name no recording.
+/// The options of tail for recordings. Returns the action; none: its words do not name a recording.
 std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App& command);
 Action prepare_import(CLI::App& command);
 Action prepare_replay(CLI::App& command);

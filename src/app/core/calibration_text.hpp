@@ -1,4 +1,4 @@
-// The line of a calibration's points, for people.
+// The line of a calibration's points, as readable text.
 #pragma once
 
 #include <charconv>
@@ -11,13 +11,13 @@ namespace rtdata::app {
 
 inline constexpr int digits_of_line = 6;
 
-/// With so many significant digits at most.
+/// The number with at most this many significant digits.
 inline std::string number_text(double number, int digits = digits_of_line) {
   char buffer[40];
   return {buffer, std::to_chars(buffer, buffer + sizeof buffer, number, std::chars_format::general, digits).ptr};
 }
 
-/// The nearest number of so many digits, which files and people can hold.
+/// The nearest number with this many digits, short enough for files and people.
 inline double rounded(double number, int digits) {
   const std::string text = number_text(number, digits);
   double result = number;

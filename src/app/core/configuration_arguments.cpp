@@ -27,7 +27,7 @@ std::optional<Duration> span_of(const std::string& option, const std::string& te
 Action prepare_init(CLI::App& command) {
   const auto file = std::make_shared<std::string>("rtdata.json");
   command.footer(
-      "example:\n  rtdata init bench.json\nIt has gentle rates and limits. What else there is: rtdata types");
+      "example:\n  rtdata init bench.json\nIts rates and limits are moderate. For other types: rtdata types");
   command.add_option("FILE", *file, "The file; one that exists is not overwritten")->capture_default_str();
   return [file](const Registry& registry) {
     const ForPeople wrapped;
@@ -95,7 +95,7 @@ Action prepare_calibrate(CLI::App& command) {
   command.footer(
       "It takes values of the running instance of FILE, or runs the sensor alone, without\n"
       "recording. Apply a known value, wait until it is steady, enter it; then the next.\n"
-      "Each is the mean of 2 s. An empty line, done or Ctrl-D ends it, undo takes one back.\n"
+      "Each is the mean of 2 s. An empty line, done or Ctrl-D ends it, undo removes one.\n"
       "With two or more, their line is written as `points` of the calibration; comments\n"
       "stay.\nexamples:\n  rtdata calibrate tank.json tank\n  rtdata calibrate bench.json scale.weight\n"
       "exit status:\n  0  written\n  1  not written\n  2  mistakes in the configuration");

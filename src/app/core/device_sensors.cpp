@@ -61,7 +61,7 @@ void add_device_sensors(Registry& registry) {
       "host", "what this computer knows of itself: load, memory, temperature and so on",
       [](const HostConfig& config) { return host_description(config.quantity); }, makes<HostSensor>);
   registry.add_sensor<IioConfig>(
-      "iio", "any IIO device of the kernel, asked channel by channel",
+      "iio", "any IIO device of the kernel, read channel by channel",
       [](const IioConfig& config) { return iio_description(config.channels); }, makes<IioSensor>,
       [](PartPlan&, const IioConfig&) {},
       {.notes = "A DHT11, DHT22 or AM2302 has a driver of the kernel, dht11, and an HC-SR04 has srf04: a device tree "

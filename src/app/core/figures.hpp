@@ -8,7 +8,7 @@
 
 namespace rtdata::app {
 
-/// Also of bools; not of texts, characters, enumerations.
+/// True for numbers and bools; not for texts, characters, enumerations.
 inline bool is_number(Kind kind) noexcept {
   return kind != Kind::text && kind != Kind::character && kind != Kind::enumeration && kind != Kind::record;
 }
@@ -18,8 +18,8 @@ struct Figures {
   const Leaf *count = nullptr, *least = nullptr, *most = nullptr, *mean = nullptr;
 };
 
-/// Of all numbers of a topic, in their order. `steps`: the description of its steps (Recording::steps), whose first
-/// leaf is the number of events; it and `topic` outlive what is returned.
+/// The figures of all numbers of a topic, in their order. `steps`: the description of its steps (Recording::steps),
+/// whose first leaf is the number of events; it and `topic` outlive what is returned.
 inline std::vector<Figures> figures_of(const Description& steps, const Description& topic) {
   std::vector<Figures> all;
   const Leaf* next = steps.leaves().data() + 1;
@@ -31,8 +31,8 @@ inline std::vector<Figures> figures_of(const Description& steps, const Descripti
   return all;
 }
 
-/// Makes a value, or the mean of several, part of a mean, of which it is then this share. It does not overflow, and
-/// loses no digits where all are near each other. With an infinity the mean is that infinity, with both it is NaN.
+/// Adds a value, or the mean of several, to a mean with this share. It does not overflow, and
+/// loses no digits if all values are near each other. With an infinity the mean is that infinity, with both it is NaN.
 inline void weigh_in(double& mean, double value, double share) noexcept {
   if (share == 1)
     mean = value;

@@ -50,7 +50,7 @@ void add_line_sensors(Registry& registry) {
        .aliases = "script python program exec shell stdout rtl_433 rtl-433 ping nvidia-smi can candump canbus sigrok "
                   "sigrok-cli"});
   registry.add_sensor<TcpLinesConfig>(
-      "tcp", "a device that sends lines over a TCP connection, such as an ESP32 or ser2net; it may call this machine",
+      "tcp", "a device that sends lines over a TCP connection, such as an ESP32 or ser2net; either side may connect",
       [](const TcpLinesConfig& config) { return description_of_lines(config.lines); }, makes<TcpLines>,
       [](PartPlan& plan, const TcpLinesConfig& config) {
         if (config.listen.empty()) return;
@@ -72,7 +72,7 @@ void add_line_sensors(Registry& registry) {
       {.aliases = "datagram multicast broadcast telemetry listen esp8266"});
 #ifdef RTDATA_WITH_HTTP
   registry.add_sensor<HttpSensorConfig>(
-      "http", "what a URL answers, such as that of a plug, a gateway or a weather service",
+      "http", "the answers of a URL, such as of a smart plug, a gateway or a weather service",
       [](const HttpSensorConfig& config) { return line_description(config.fields); }, makes<HttpSensor>,
       [](PartPlan&, const HttpSensorConfig&) {},
       {.notes = recipes, .aliases = "shelly tasmota ecowitt open-meteo airrohr rest api url web prometheus"});

@@ -101,7 +101,7 @@ std::optional<Resumed> resumed(Loop& loop, const MachineSettings& settings, cons
     tell(LogLevel::warning, begins + ": it was in " + last.state + ", before " + pause);
     return std::nullopt;
   }
-  tell(LogLevel::warning, "it goes on in " + last.state + ", after " + pause);
+  tell(LogLevel::warning, "it continues in " + last.state + ", after " + pause);
   return Resumed{{last.state, last.in_state + last.pause.value_or(Duration{0}), "resumed after " + pause}, last.run};
 }
 

@@ -107,11 +107,10 @@ class OutputSetter {
       if (known == outputs_.end() || !arms(settings_, plan->name)) continue;
       const Result<bool> was = was_armed(recording, run, plan->name, plan->publishes->topic);
       if (!was)
-        loop_.runtime().core().log(LogLevel::error, by_,
-                                   "output " + plan->name +
-                                       " is not armed again, since it cannot be read whether it "
-                                       "was: " +
-                                       was.error().text());
+        loop_.runtime().core().log(
+            LogLevel::error, by_,
+            "output " + plan->name +
+                " is not armed again: the program could not read its last state: " + was.error().text());
       else if (*was)
         tell(plan->name, "armed", known->second->arm(by_ + ", resumed"));
     }
@@ -170,7 +169,7 @@ std::optional<fsm::ConfiguredMachine::Beginning> after_reload(Loop& loop, const 
     return fsm::ConfiguredMachine::Beginning{before.state, now - before.since, "reloaded", before.is_acted_on};
   loop.runtime().core().log(
       LogLevel::warning, "machine " + settings.name,
-      "it was in " + before.state + ", which is not a state of it any more: it begins in " + settings.start);
+      "it was in " + before.state + ", which is no longer a state of it: it begins in " + settings.start);
   return std::nullopt;
 }
 

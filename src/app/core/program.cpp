@@ -164,7 +164,7 @@ std::string wrong_command(const std::string& word) {
   if (word.ends_with(".json")) return text + "; to run that configuration: rtdata run " + word;
   if (word.ends_with(".db")) return text + "; to sum up that recording: rtdata info " + word;
   const std::string nearest = nearest_name(word, names);
-  return text + (nearest.empty() ? "; there are " + detail::listed(names) : " (did you mean \"" + nearest + "\"?)") +
+  return text + (nearest.empty() ? "; available: " + detail::listed(names) : " (did you mean \"" + nearest + "\"?)") +
          "; `rtdata --help` explains them";
 }
 

@@ -27,24 +27,24 @@ CLI::Validator at_least(std::int64_t least) {
   return CLI::Validator(check, "");
 }
 
-/// `which`: what is done with the run, and what without the option.
+/// `which`: the use of the run, and the default.
 CLI::Option* add_run(CLI::App& command, std::optional<std::string>& to, const std::string& which) {
   return command.add_option("--run", to, which + "; -1: the last, -2: the one before")->type_name("NUMBER|NAME");
 }
 
-/// Of words that may also be an instance or a topic: names of instances have neither.
+/// True if a word names a recording. It may also be an instance or a topic: names of instances have neither.
 bool is_recording(const std::string& word) {
   std::error_code ignored;
   return word.ends_with(".db") ||
          (word.find('/') != std::string::npos && std::filesystem::is_regular_file(word, ignored));
 }
 
-/// Which part of a run.
+/// The options for a part of a run.
 void add_part(CLI::App& command, PartOptions& part) {
   add_run(command, part.run, "Which run; default: the last");
   command.add_option("--from", part.from, "First time, in UTC as 2026-03-01T12:00:00Z; default: all of the run")
       ->type_name("TIME");
-  command.add_option("--until,--to", part.until, "First time that is left out")->type_name("TIME");
+  command.add_option("--until,--to", part.until, "End time, not included")->type_name("TIME");
   command.add_option("--last", part.last, "Only this long before the end, such as 10s; instead of --from")
       ->type_name("DURATION");
 }
@@ -57,7 +57,7 @@ Action prepare_verify(CLI::App& command) {
       "examples:\n  rtdata verify bench.db\n  rtdata verify bench.db --run 3\n  rtdata verify "
       "postgresql://rt@db.example/plant\nexit status:\n"
       "  0  balanced: every tick and event is accounted for, losses too; or sealed:\n"
-      "     so up to the kill or power failure that ended it; or being recorded\n"
+      "     the same up to the kill or power failure that ended it; or being recorded\n"
       "  1  a run is not balanced, or not sealed yet: see `rtdata seal`\n"
       "  2  unreadable or damaged");
   command.add_option("DB", options->database, "The recording, or a server: postgresql://...")->required();
@@ -73,8 +73,8 @@ Action prepare_info(CLI::App& command) {
   const auto options = std::make_shared<InfoOptions>();
   command.footer(
       "examples:\n  rtdata info bench.db\n  rtdata info bench.db --run 1 --gaps\n"
-      "Of each origin, the sensor that events come from: its rate, and how much later\n"
-      "than due it was read; p50: half of the readings at most, p99: 99 of 100.");
+      "For each origin, the sensor that events come from: its rate, and how late its\n"
+      "readings were; p50: half of them at most this late, p99: 99 of 100.");
   command.add_option("DB", options->database, "The recording")->required();
   add_run(command, options->run, "Which run; default: the last");
   add_flag(command, "--gaps", options->gaps, InfoOptions::Gaps::listed, "List the gaps of the run, in UTC");
@@ -103,9 +103,9 @@ Action prepare_seal(CLI::App& command) {
   const auto database = std::make_shared<std::string>();
   command.footer(
       "example:\n  rtdata seal bench.db\n"
-      "Of a run that was killed, what it lost is written down, as the next start of\n"
-      "recording into the file does. The machine is the one that recorded it: counts that\n"
-      "survive a kill are in its memory.");
+      "Writes down what a killed run lost. The next start of a recording into the file\n"
+      "does the same. Run it on the computer that recorded: some counts survive a kill\n"
+      "only in its memory.");
   command.add_option("DB", *database, "The recording")->required();
   return [database](const Registry&) {
     const ForPeople wrapped;
@@ -157,7 +157,7 @@ Action prepare_compare(CLI::App& command) {
           "From the first event of this topic; MACHINE=STATE: from the first time it is in that state; default: "
           "from the start")
       ->type_name("TOPIC");
-  command.add_option("--for", options->length, "So long; default: to the end")->type_name("DURATION");
+  command.add_option("--for", options->length, "Compare only this long; default: to the end")->type_name("DURATION");
   add_json(command, options->show_as);
   command.footer(
       "examples:\n  rtdata compare bench.db -2 -1\n"
@@ -180,13 +180,12 @@ Action prepare_export(CLI::App& command) {
   add_run(command, options->run, "Only this run; default: all");
   command.add_option("--origin", options->origin, "Only events of this sensor")->type_name("NAME");
   command.add_option("--from", options->from, "First time, as 2026-03-01T12:00:00Z or in ns")->type_name("TIME");
-  command.add_option("--until", options->until, "First time that is left out")->type_name("TIME");
+  command.add_option("--until", options->until, "End time, not included")->type_name("TIME");
   command.add_option("--limit", options->limit, "At most this many rows; 0: all")->check(at_least(0));
   command.add_option("--every", options->every, "Only each n-th row")->check(at_least(1));
   command
-      .add_option(
-          "--step", options->step,
-          "Reduced: for each step of this length how many values, the least, the largest and the mean of each number")
+      .add_option("--step", options->step,
+                  "For each step of this length: number of values, and least, largest and mean of each field")
       ->type_name("DURATION");
   add_flag(command, "--utc", options->times, Export::Times::utc,
            "Times in UTC, corrected where the clock was wrong; --from and --until are UTC, too");
@@ -196,17 +195,17 @@ Action prepare_export(CLI::App& command) {
                   "Columns of other topics beside those of --topic: their last event at or before each row")
       ->expected(1, -1)
       ->type_name("TOPIC");
-  command.add_option("--within", options->within, "Of --join: not events that are older, such as 1s")
+  command.add_option("--within", options->within, "With --join: ignore events older than this, such as 1s")
       ->type_name("DURATION");
-  command.add_option("--separator", options->separator, "Of CSV: a character, such as \";\", or tab; default: \",\"")
+  command.add_option("--separator", options->separator, "CSV only: a character, such as \";\", or tab; default: \",\"")
       ->type_name("CHARACTER");
-  command.add_option("--decimal", options->decimal, "Of CSV: the decimal mark; default: \".\"")
+  command.add_option("--decimal", options->decimal, "CSV only: the decimal mark; default: \".\"")
       ->type_name("CHARACTER")
       ->check(CLI::IsMember({".", ","}));
-  command.add_option("--digits", options->digits, "Of CSV: digits after the decimal mark; default: all that there are")
+  command.add_option("--digits", options->digits, "CSV only: digits after the decimal mark; default: all")
       ->check(CLI::Range(0, 17))
       ->type_name("NUMBER");
-  command.add_option("--time", options->time, "Of CSV: seconds, since the first row of each run or --start")
+  command.add_option("--time", options->time, "CSV only: seconds, since the first row of each run or --start")
       ->check(CLI::IsMember({"seconds"}))
       ->type_name("seconds");
   command.add_option("--start", options->start, "The time of 0 s")->type_name("TIME");
@@ -236,8 +235,8 @@ Action prepare_plot(CLI::App& command) {
       "--last "
       "10s\n"
       "  rtdata plot bench host/cpu       the last minute of a running instance, until q\n"
-      "Each dot or column has all from the least to the most of its time. A letter below\n"
-      "a curve is something that is not there; its line says when and why.");
+      "Each dot or column shows the range from least to most of its time. A letter below\n"
+      "a curve marks missing data; its line says when and why.");
   return [options, words, &command](const Registry&) {
     const WrappedOutput errors(std::cerr, STDERR_FILENO);
     if (!words->empty() && is_recording(words->front())) {
@@ -247,7 +246,7 @@ Action prepare_plot(CLI::App& command) {
     }
     for (const char* const name : {"--run", "--from", "--until", "--origin"}) {
       if (command.count(name) == 0) continue;
-      std::cerr << "rtdata: " << name << " is of recordings: rtdata plot DB" << std::endl;
+      std::cerr << "rtdata: " << name << " works only with recordings: rtdata plot DB" << std::endl;
       return exit_other;
     }
     LivePlotOptions live;
@@ -255,7 +254,7 @@ Action prepare_plot(CLI::App& command) {
     if (!options->part.last.empty()) {
       const Result<Duration> window = parse_duration(options->part.last);
       if (!window || *window < std::chrono::seconds{1} || *window > std::chrono::hours{1}) {
-        std::cerr << "rtdata: --last of a running instance is 1 s to 1 h; a recording has more: rtdata plot DB"
+        std::cerr << "rtdata: --last of a running instance is 1 s to 1 h; for more, plot a recording: rtdata plot DB"
                   << std::endl;
         return exit_other;
       }
@@ -300,14 +299,13 @@ std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App
   const auto given = std::make_shared<RecordedTailOptions>();
   PartOptions& part = given->part;
   std::vector<const CLI::Option*> added{
-      add_run(command, part.run, "Of a recording: which run; default: the last"),
-      command.add_option("--until,--to", part.until, "Of a recording: leave out events from this time on")
-          ->type_name("TIME"),
-      command.add_option("--last", part.last, "Of a recording: only this long before the end, instead of --from")
+      add_run(command, part.run, "Recordings only: which run; default: the last"),
+      command.add_option("--until,--to", part.until, "Recordings only: end time, not included")->type_name("TIME"),
+      command.add_option("--last", part.last, "Recordings only: only this long before the end, instead of --from")
           ->type_name("DURATION"),
       command
           .add_option("--lines", given->lines,
-                      "Of a recording: this many of the newest events, without --from and --last")
+                      "Recordings only: this many of the newest events, without --from and --last")
           ->check(at_least(1))
           ->capture_default_str()};
   return [given, added](const TailOptions& options) -> std::optional<int> {
@@ -315,7 +313,7 @@ std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App
     if (words.empty() || !is_recording(words.front())) {
       for (const CLI::Option* option : added) {
         if (option->count() == 0) continue;
-        std::cerr << "rtdata: " << option->get_name() << " is of recordings: rtdata tail DB" << std::endl;
+        std::cerr << "rtdata: " << option->get_name() << " works only with recordings: rtdata tail DB" << std::endl;
         return exit_other;
       }
       return std::nullopt;
@@ -336,31 +334,33 @@ Action prepare_import(CLI::App& command) {
       ->required();
   command
       .add_option("--time", options->time_columns,
-                  "Heading of the column of time, or of those of its parts, such as date and time")
+                  "Heading of the time column, or of the columns of its parts, such as date and time")
       ->expected(1, -1)
       ->type_name("COLUMN");
-  command.add_option("--rate", options->rate, "Rows per second of a table without a column of time, such as 32")
+  command.add_option("--rate", options->rate, "Rows per second of a table without a time column, such as 32")
       ->check(CLI::Validator(
           [](std::string& text) {
             double rate = 0;
             const bool is_rate = CLI::detail::lexical_cast(text, rate) && rate > 0;
-            return is_rate ? std::string() : "\"" + text + "\" is no number above 0";
+            return is_rate ? std::string() : "\"" + text + "\" is not a number above 0";
           },
           ""))
       ->type_name("HERTZ");
-  command.add_option("--step", options->step, "Time between the rows of a table without a column of time: 31.25ms")
+  command.add_option("--step", options->step, "Time between the rows of a table without a time column: 31.25ms")
       ->type_name("DURATION");
   command.add_option("--time-format", options->time_format, "How its times are written, such as \"%d.%m.%Y %H:%M:%S\"")
       ->type_name("FORMAT");
-  command.add_option("--scale", options->scale, "What 1 in that column is; default: 1 s")->type_name("DURATION");
-  command.add_option("--start", options->start, "What 0 in that column is, as 2026-03-01T12:00:00Z; default: 1970")
+  command.add_option("--scale", options->scale, "Time that 1 in that column means; default: 1 s")
+      ->type_name("DURATION");
+  command
+      .add_option("--start", options->start, "Time that 0 in that column means, as 2026-03-01T12:00:00Z; default: 1970")
       ->type_name("TIME");
   command.add_option("--zone", options->zone, "Time zone of times that name none: Z (UTC), +01:00, Europe/Berlin")
       ->type_name("ZONE");
-  command.add_option("--skip", options->skip, "How many lines stand before the heading")
+  command.add_option("--skip", options->skip, "Number of lines before the heading")
       ->check(at_least(0))
       ->type_name("LINES");
-  command.add_option("--head", options->head, "How many rows the heading has, which are joined: 1 or 2")
+  command.add_option("--head", options->head, "Number of rows of the heading, which are joined: 1 or 2")
       ->check(CLI::IsMember({1, 2}))
       ->type_name("ROWS");
   command.add_option("--units", options->units, "row: the row after the heading has the units")
@@ -368,15 +368,13 @@ Action prepare_import(CLI::App& command) {
       ->type_name("WHERE");
   command.add_option("--columns", options->columns, "The names of the columns of a table without heading: t,\"v [V]\"")
       ->type_name("NAMES");
-  command
-      .add_option("--comment", options->comments,
-                  "Leave out lines that begin with this, such as \"#\"; may be repeated")
+  command.add_option("--comment", options->comments, "Skip lines that begin with this, such as \"#\"; may be repeated")
       ->expected(1, -1)
       ->allow_extra_args(false)
       ->type_name("TEXT");
   command
       .add_option("--only", options->only,
-                  "Only the rows of this kind, the text of their first cell, or with this text in a column: host=a")
+                  "Only rows whose first cell is this text, or with this text in a column: host=a")
       ->expected(1, -1)
       ->type_name("KIND|COLUMN=TEXT");
   command.add_option("--none", options->none, "Texts and numbers that stand for no value, such as N/A -9999")
@@ -384,7 +382,7 @@ Action prepare_import(CLI::App& command) {
       ->type_name("TEXT");
   command
       .add_option("--strip", options->strip,
-                  "Texts that are taken off the begin or end of cells with numbers, such as F \"V DC\" T=")
+                  "Texts to remove from the begin or end of cells with numbers, such as F \"V DC\" T=")
       ->expected(1, -1)
       ->type_name("TEXT");
   command.add_option("--text", options->texts, "Columns that are texts, such as ids whose zeros are kept: 00501")
@@ -392,17 +390,16 @@ Action prepare_import(CLI::App& command) {
       ->type_name("COLUMN");
   command
       .add_option("--separator", options->separator,
-                  "What separates the cells: a character, such as \";\", tab, or blanks; default: \",\"")
+                  "Separator of the cells: a character, such as \";\", tab, or blanks; default: \",\"")
       ->type_name("CHARACTER");
   command.add_option("--decimal", options->decimal, "The decimal mark of its numbers; default: \".\"")
       ->type_name("CHARACTER")
       ->check(CLI::IsMember({".", ","}));
-  command
-      .add_option("--thousands", options->thousands, "What separates thousands, such as \",\"; default: nothing does")
+  command.add_option("--thousands", options->thousands, "Separator of thousands, such as \",\"; default: none")
       ->type_name("CHARACTER");
   add_flag(command, "--sort", options->order, ImportOptions::Order::sorted, "Sort rows that are not in order of time");
   add_flag(command, "--partial", options->partial, ImportOptions::Partial::taken,
-           "Take rows that end early; leave out a last row that is cut off, and rows without a time");
+           "Accept rows that end early; skip a last row that is cut off, and rows without a time");
   command.add_option("--topic", options->topic, "Topic; default: the file's name");
   command.add_option("--origin", options->origin, "The sensor that the events are from; default: the file's name")
       ->type_name("NAME");
@@ -441,8 +438,8 @@ Action prepare_replay(CLI::App& command) {
   command.add_option("--prefix", config.prefix, "Prefix of the names of the origins");
   command.add_option("--from", config.from, "First time, in UTC as 2026-03-01T12:00:00Z, or as recorded in ns")
       ->type_name("TIME");
-  command.add_option("--until", config.until, "First time that is left out")->type_name("TIME");
-  add_flag(command, "--quiet,-q", given->options.is_quiet, true, "Of messages print warnings and errors only");
+  command.add_option("--until", config.until, "End time, not included")->type_name("TIME");
+  add_flag(command, "--quiet,-q", given->options.is_quiet, true, "Print no messages except warnings and errors");
   command.footer(
       "examples:\n  rtdata replay bench.db                      as it came, on the terminal\n"
       "  rtdata replay bench.db again.json --speed max\nexit status:\n"
@@ -469,7 +466,7 @@ Action prepare_forward(CLI::App& command) {
   command.add_option("FILE", options->file, "The configuration whose sinks send")->required();
   command.footer(
       "example:\n  rtdata forward /media/card/run.db node.json\n"
-      "Each sink of FILE with `through` goes on where it has got to in the recording.\nexit status:\n"
+      "Each sink of FILE with `through` continues from its position in the recording.\nexit status:\n"
       "  0  all is sent\n  1  ended before\n  2  mistakes, or no recording");
   return [options](const Registry& registry) {
     const ForPeople wrapped;

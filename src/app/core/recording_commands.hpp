@@ -49,10 +49,10 @@ struct RunsOptions {
   std::string database;
   ShowAs show_as = ShowAs::text;
 };
-/// A line a run. 0; 2 unreadable.
+/// One line per run. 0; 2 unreadable.
 int runs(const RunsOptions& options, std::ostream& out, std::ostream& err);
 
-/// 0: what ended without closing is sealed, if anything; 1 it cannot be, as while it is recorded; 2 unreadable.
+/// 0: runs that ended without closing are sealed, if any; 1 not possible, for example during recording; 2 unreadable.
 int seal(const std::string& database, std::ostream& out, std::ostream& err);
 
 struct RemoveOptions {
@@ -67,7 +67,7 @@ struct MergeOptions {
   std::vector<std::string> sources;
   std::string database;  // that is made
 };
-/// 0; 1 not merged, or something that differs was left out; 2 a source is unreadable.
+/// 0; 1 not merged, or differing rows were skipped; 2 a source is unreadable.
 int merge(const MergeOptions& options, std::ostream& out, std::ostream& err);
 
 struct CompareOptions {
@@ -108,8 +108,8 @@ struct ExportOptions {
   Times times = Times::recorded;  // utc: --utc, corrected times, as ISO 8601 in CSV
   enum class Header { names, names_and_units };
   Header header = Header::names;
-  // Of CSV, for people and their programs; those of a topic, to `out`.
-  std::vector<std::string> join = {};  // topics whose last event at or before each row stands in it
+  // Only for CSV of one topic, written to `out`.
+  std::vector<std::string> join = {};  // topics whose last event at or before each row is in the row
   std::string within = {};             // how old that may be; empty: any age
   std::string separator = {};          // a character, or "tab"; empty: ","
   std::string decimal = {};            // "." or ","; empty: "."
@@ -152,10 +152,10 @@ struct RecordedTailOptions {
   std::string database;
   std::vector<std::string> topics = {};  // names or patterns; none: all
   PartOptions part = {};
-  std::size_t lines = 20;  // the newest, unless the part says from when
+  std::size_t lines = 20;  // the newest, unless the part has a begin
   std::string step = {};   // reduced to steps of this length; empty: each event
   ShowAs show_as = ShowAs::text;
-  std::size_t columns = 0;  // lines of text are cut to so many; 0: they are not
+  std::size_t columns = 0;  // lines of text are cut to this many; 0: they are not cut
 };
 /// 0; 1 when it cannot be shown so, or there is no such run or topic; 2 unreadable.
 int tail_recording(const RecordedTailOptions& options, std::ostream& out, std::ostream& err);
@@ -165,25 +165,25 @@ struct ImportOptions {
   std::vector<std::string> time_columns;  // its heading, or those of its parts in order, such as date and time
   std::string time_format = {};           // as strptime has it; empty: ISO 8601 and numbers
   std::string scale = {};                 // duration of 1 in that column; empty: 1 s; not used for ISO 8601
-  double rate = 0;                        // Hz, of a table without a column of time; 0: it has one, or a step
-  std::string step = {};                  // the duration between its rows
+  double rate = 0;                        // Hz, for a table without a time column; 0: it has one, or a step
+  std::string step = {};                  // the time between its rows
   std::string start = {};                 // time of 0 in that column, ISO 8601; empty: 1970
   std::string separator = {};             // a character, "tab" or "blanks"; empty: that of a line "sep=;", or ","
   std::string decimal = {};               // "." or ","; empty: ".", and numbers that look like "," are refused
   std::string thousands = {};             // between groups of three digits; empty: nothing is
   std::string zone = {};   // "Z", "+01:00", "Europe/Berlin": for times without a zone; empty: these are refused
   std::uint64_t skip = 0;  // lines before the heading
-  std::vector<std::string> comments = {};  // what lines begin with that are left out
+  std::vector<std::string> comments = {};  // texts at the begin of lines that are skipped
   std::uint64_t head = 1;                  // rows of the heading, 1 or 2
   std::string units = {};                  // "row": a row after the heading has them; else they are in the heading
   std::string columns = {};                // the names, as a row of CSV, of a table without heading; empty: it has one
   std::vector<std::string> only =
       {};  // the rows taken: KIND, the text of their first cell, or COLUMN=TEXT; all of these
-  std::vector<std::string> none = {};   // texts, and numbers however they are written, that stand for no value
-  std::vector<std::string> strip = {};  // texts that are taken off the begin or end of cells with numbers
+  std::vector<std::string> none = {};   // texts, and numbers in any notation, that mean "no value"
+  std::vector<std::string> strip = {};  // texts to remove from the begin or end of cells with numbers
   std::vector<std::string> texts = {};  // headings of columns that are texts, whatever their cells are
   enum class Order { refused, sorted };
-  Order order = Order::refused;  // of rows that are not in order of time; sorted: --sort
+  Order order = Order::refused;  // for rows that are not in time order; sorted: --sort
   enum class Partial { refused, taken };
   Partial partial = Partial::refused;  // of rows that end early; taken: --partial
   std::string topic = {};              // empty: the file's name
@@ -194,7 +194,7 @@ struct ImportOptions {
 int import_table(const ImportOptions& options, std::ostream& out, std::ostream& err);
 
 struct ReplayOptions {
-  ReplayConfig config;                  // its run is set by the next
+  ReplayConfig config;                  // `run` below sets its run
   std::optional<std::string> run = {};  // all of them, one after the other, unless given
   std::string configuration = {};       // its sinks get the events; empty: the terminal
   bool is_virtual = false;              // --speed max: as fast as it goes, in virtual time

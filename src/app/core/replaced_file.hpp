@@ -1,4 +1,4 @@
-// A file that is replaced at once, or not at all.
+// Replaces a file atomically: completely, or not at all.
 #pragma once
 
 #include <string>

@@ -55,7 +55,7 @@ void add_shipped_outputs(Registry& registry) {
       [](PartPlan& plan, const HttpActuatorConfig& config) {
         const auto url = detail::parse_http_url(config.server.url);
         if (!url) return;
-        plan.place = {"server", url->origin, "two outputs that send the same requests set one device"};
+        plan.place = {"server", url->origin, "two outputs with the same requests would set one device"};
         plan.place.more = config.server.url.substr(config.server.url.find("//") + 2) + " " + config.text;
         if (config.method == HttpSetMethod::get) plan.place.more.resize(plan.place.more.size() - config.text.size());
       });

@@ -29,7 +29,7 @@ void check_format(const std::string& name, std::initializer_list<const char*> ow
   if (std::find(formats.begin(), formats.end(), name) != formats.end()) return;
   std::string message = "there is no format \"" + name + "\"";
   std::string nearest = nearest_name(name, formats);
-  if (nearest.empty()) message += "; there are " + detail::listed(formats, " ");
+  if (nearest.empty()) message += "; available: " + detail::listed(formats, " ");
   problems.add(
       config_detail::child_or_self(item, "format").problem("unknown-choice", std::move(message), std::move(nearest)));
 }
@@ -65,7 +65,7 @@ void add_shipped_sinks(Registry& registry) {
       "http", "a server, by HTTP or HTTPS: JSON, JSON lines, CBOR, lines of InfluxDB", no_path, makes<HttpSink>);
 #endif
   registry.add_sink<ConsoleConfig>(
-      "console", "lines for people, on standard output",
+      "console", "readable lines, on standard output",
       [](const ConsoleConfig& config) { return std::string(config.descriptor == 1 ? "-" : ""); }, makes<ConsoleSink>);
 #ifdef RTDATA_WITH_MQTT
   registry.add_sink<Shipped<MqttConfig>>("mqtt", "one message per event, to a broker of MQTT", no_path,

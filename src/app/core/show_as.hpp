@@ -1,4 +1,4 @@
-// Selects output for people or for programs. Private to the program.
+// Selects output as text or as JSON. Private to the program.
 #pragma once
 
 namespace rtdata::app {

@@ -1,5 +1,5 @@
-// The parts of `standard_registry`, a file each. The drivers have one for each kind of bus: a chip is one line
-// in it. Private to the program.
+// The parts of `standard_registry`, one file each. The drivers have one file for each kind of bus: a chip is one
+// line in it. Private to the program.
 #pragma once
 
 #include "rtdata/config/registry.hpp"

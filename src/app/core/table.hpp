@@ -8,7 +8,7 @@
 
 namespace rtdata::app {
 
-/// A table for people: first row the heading; columns whose heading begins with '>' are aligned to the right. Two
+/// A table as text: first row the heading; columns whose heading begins with '>' are aligned to the right. Two
 /// blanks separate columns; lines end with a newline, without blanks before it.
 class Table {
  public:

@@ -25,7 +25,7 @@ std::string printable(std::string_view text);
 /// above. `columns` 0: no change.
 std::string for_terminal(std::string_view text, std::size_t columns);
 
-/// While it lives, wraps lines printed to a stream for the terminal of `fd`, if it is one. For text for people, not for
+/// While it lives, wraps lines printed to a stream for the terminal of `fd`, if it is one. For readable text, not for
 /// data. Thread: one at a time.
 class WrappedOutput final : public std::streambuf {
  public:

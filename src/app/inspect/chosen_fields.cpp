@@ -15,13 +15,13 @@ namespace {
   throw SetupError({Errc::not_found, "cannot plot", name, std::move(why), std::move(advice)});
 }
 
-/// The numbers that a path stands for; empty: none. `is_there`: there is something of that name.
+/// The numbers that a path means; empty: none. `is_there`: there is something of that name.
 std::vector<std::string> numbers_of(const Description& of, const std::string& path, bool& is_there) {
   std::vector<std::string> found;
   for (const Leaf& leaf : of.leaves()) {
     const bool is_it = path.empty() || leaf.path == path || leaf.path.starts_with(path + ".") ||
                        leaf.path.starts_with(path + "[");
-    // "pressure.raw" was added beside the number "pressure", and is none of its parts.
+    // "pressure.raw" was added beside the number "pressure", and is not a part of it.
     if (!is_it || (leaf.path != path && of.find(path) != nullptr)) continue;
     is_there = true;
     if (is_number(leaf.kind)) found.push_back(leaf.path);
@@ -29,7 +29,7 @@ std::vector<std::string> numbers_of(const Description& of, const std::string& pa
   return found;
 }
 
-/// Why there is no number.
+/// The reason why there is no number.
 std::string no_number_text(const Description& of, const std::string& path) {
   const Leaf* const leaf = of.find(path);
   if (leaf == nullptr) return "it holds no number";

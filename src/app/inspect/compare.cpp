@@ -24,7 +24,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// Of the numbers of a field that are there and not NaN.
+/// The figures of the values of a field that are present and not NaN.
 struct RunFigures {
   std::uint64_t count = 0;
   double least = std::numeric_limits<double>::infinity(), largest = -least, mean = 0, squares = 0;
@@ -62,7 +62,7 @@ struct Side {
   std::string from_utc;
 };
 
-/// What is compared: an origin's events on a topic, of both.
+/// One comparison: an origin's events on a topic, in both runs.
 struct Part {
   std::array<std::uint64_t, 2> events{};
   std::array<std::string, 2> lost;
@@ -75,7 +75,7 @@ using Key = std::pair<std::string, std::string>;  // topic and origin
   throw SetupError({Errc::not_found, "cannot compare", where, std::move(why), std::move(advice)});
 }
 
-/// The first event of a topic of the run, or, of "MACHINE=STATE", the first that goes to this state.
+/// The first event of a topic in the run; for "MACHINE=STATE", the first that goes to this state.
 Time instant_of(const Recording& recording, const RunInfo& run, const std::string& from) {
   if (from.empty()) return run.started;
   const std::string topic = from.substr(0, from.find('='));
@@ -203,8 +203,8 @@ int compare(const CompareOptions& options, std::ostream& out, std::ostream& err)
   if (!options.length.empty()) {
     length = parse_duration(options.length).or_throw();
     if (*length <= Duration{0})
-      throw SetupError(
-          {Errc::bad_argument, "cannot compare", "--for " + options.length, "it is not above 0", "such as 10s"});
+      throw SetupError({Errc::bad_argument, "cannot compare", "--for " + options.length, "it is not above 0",
+                        "write one such as 10s"});
   }
   const std::vector<RunInfo> runs = recording.runs().or_throw();
   std::array<Side, 2> sides;

@@ -14,7 +14,7 @@ namespace rtdata::app {
 struct CourseEvent {
   Time time{};         ///< as recorded
   std::string object;  ///< the limit or machine; of a note or command, who gave it
-  std::string text;    ///< for people, without the object
+  std::string text;    ///< readable, without the object
   std::vector<std::pair<std::string, Value>> values;
 };
 
@@ -28,7 +28,7 @@ struct Course {
   CourseEvents notes, commands, alarms, states;
 };
 
-/// Whether events of this payload are part of it.
+/// True if events of this payload are part of it.
 bool is_of_course(const Description& description);
 
 /// `topics`: all of the recording; their payloads show which ones are relevant.

@@ -1,4 +1,4 @@
-// A field over time, reduced to steps: what pictures of recordings and of running instances are made of.
+// A field over time, reduced to steps: the data for pictures of recordings and of running instances.
 #pragma once
 
 #include <cstdint>
@@ -12,10 +12,10 @@
 
 namespace rtdata::app {
 
-/// As it was recorded, so that integers beyond 2^53 stay apart. All of one curve hold the same type.
+/// The recorded type, so that integers beyond 2^53 stay exact. All values of one curve have the same type.
 using Number = std::variant<std::int64_t, std::uint64_t, double>;
 
-/// What the events of one step have in one field. A step without events is none.
+/// The values of one field in the events of one step. A step without events is omitted.
 struct CurveStep {
   Time begin{};               ///< UTC, a multiple of the step
   std::uint64_t events = 0;   ///< all of them
@@ -24,10 +24,10 @@ struct CurveStep {
   double mean = 0;            ///< of these values
 };
 
-/// A stretch in which something is not there.
+/// A time with missing data.
 struct CurveGap {
-  Time first{}, last{};    ///< UTC, both in it
-  std::uint64_t lost = 0;  ///< ticks or events; 0: how many is not known
+  Time first{}, last{};    ///< UTC, both included
+  std::uint64_t lost = 0;  ///< ticks or events; 0: unknown number
   std::string reason;      ///< "missed: loop held"
 };
 
@@ -49,10 +49,10 @@ struct Curve {
   bool has_loss = false;
 };
 
-/// Curves over one stretch of time.
+/// Curves over one span of time.
 struct Plot {
-  std::string title;      ///< what it is of: "bench.db, run 3"
-  Time from{}, until{};   ///< UTC; `until` is not in it
+  std::string title;      ///< source: "bench.db, run 3"
+  Time from{}, until{};   ///< UTC; `until` is not included
   Duration step{1};       ///< of all curves, above 0
   Duration read_step{1};  ///< of the times of extremes
   std::vector<Curve> curves;

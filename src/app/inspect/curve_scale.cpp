@@ -12,7 +12,7 @@
 namespace rtdata::app {
 namespace {
 
-/// Of the characters of "2026-03-01T12:00:00.123456789Z" up to where, so that times a step apart differ.
+/// How many characters of "2026-03-01T12:00:00.123456789Z" are needed so that times one step apart differ.
 std::size_t end_of_time(Duration step) {
   using namespace std::chrono_literals;
   return step >= 1s ? 19 : step >= 1ms ? 23 : step >= 1us ? 26 : 29;

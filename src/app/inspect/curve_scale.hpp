@@ -13,7 +13,7 @@ namespace rtdata::app {
 /// "missed: loop held"
 std::string gap_text(const std::string& kind, const std::string& reason);
 
-/// Adds what a step has to the one before, which becomes longer.
+/// Adds a step to the one before, which becomes longer.
 void join(const CurveStep& step, CurveStep& to);
 
 bool is_finite(const Number& number);
@@ -28,7 +28,7 @@ struct Scale {
   bool has_infinite = false;
   std::uint64_t numbers = 0;
   double mean = 0;
-  int digits = 6;  // as many as tell a hundredth of the range
+  int digits = 6;  // enough to show a hundredth of the range
 
   explicit Scale(const Curve& curve);
   bool is_constant() const { return least && *least == *most && !has_infinite; }
@@ -48,17 +48,17 @@ RangeTexts range_texts(const Curve& curve, const Scale& scale);
 /// Rounded down.
 std::int64_t floor_of(std::int64_t value, std::int64_t of);
 
-/// "12:00:00.123", with so many decimals that times a step apart differ.
+/// "12:00:00.123", with enough decimals that times one step apart differ.
 std::string clock_text(Time time, Duration step);
 std::string date_text(Time time);
-/// With its date, where that is another than the one of `beside`.
+/// With its date, if that differs from the date of `beside`.
 std::string instant_text(Time time, Time beside, Duration step);
 
 /// The shortest of two digits that is not below `least`, above 0.
 Duration two_digits(Duration least);
 /// The shortest of the usual distances between marks of an axis that is not below `least`.
 Duration distance_of_marks(Duration least);
-/// Of a mark of the axis from `from` to `until`, whose marks are so far apart.
+/// The text of a mark of the axis from `from` to `until`, with this distance of the marks.
 std::string mark_text(Time time, Duration distance, Time from, Time until);
 
 }  // namespace rtdata::app

@@ -1,4 +1,4 @@
-// Events as lines for people. Private to the program.
+// Events as readable lines. Private to the program.
 #pragma once
 
 #include <cstddef>
@@ -19,9 +19,9 @@ namespace rtdata::app {
 /// A value: any thread may have one.
 class EventPrinter {
  public:
-  /// `columns`: lines are cut to so many; 0: they are not.
+  /// `columns`: lines are cut to this many; 0: they are not cut.
   explicit EventPrinter(std::size_t columns) : columns_(columns) {}
-  /// What it prints for one line, with its line ends; empty: nothing is to be seen of it.
+  /// The printed text of one line, with its line ends; empty: the line is not shown.
   std::string text(std::string_view json);
 
  private:

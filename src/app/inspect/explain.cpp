@@ -58,7 +58,7 @@ std::string plain(std::string_view markdown) {
 
 int explain(std::string id) {
   const std::vector<Section> sections = sections_of(errors_page);
-  if (id.starts_with('[') && id.ends_with(']')) id = id.substr(1, id.size() - 2);  // as it stands in a message
+  if (id.starts_with('[') && id.ends_with(']')) id = id.substr(1, id.size() - 2);  // as in a message
   std::vector<std::string> ids;
   for (const Section& section : sections) {
     if (section.id == id) {

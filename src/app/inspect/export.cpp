@@ -41,9 +41,9 @@ void find(const Recording& recording, const RowFilter& filter) {
   // A running or killed run may have rows before its first account.
   auto rows = recording.rows({.topic = filter.topic, .run = filter.run, .origin = filter.origin}).or_throw();
   if (rows.next().or_throw() != nullptr) return;
-  if (origins.empty()) missing(of_run + " has no topic " + filter.topic + "; there is " + list_of(topics));
-  missing(of_run + " has nothing of origin " + *filter.origin + " on topic " + filter.topic + "; there is " +
-          list_of(origins));
+  if (origins.empty()) missing(of_run + " has no topic " + filter.topic + "; available: " + list_of(topics));
+  missing(of_run + " has nothing of origin " + *filter.origin + " on topic " + filter.topic +
+          "; available: " + list_of(origins));
 }
 
 /// Reports refused rows, which is an error.
@@ -58,11 +58,11 @@ int report_refused(std::ostream& err, const ExportCount& count) {
 void report_runs(std::ostream& err, const Recording& recording, const ExportOptions& options) {
   const auto runs = recording.runs();
   if (!runs || runs->size() < 2 || options.run || options.format == "raw") return;
-  err << "rtdata: of " << runs->size() << " runs: `run` says of which each row is"
+  err << "rtdata: rows of " << runs->size() << " runs: `run` says to which one a row belongs"
       << (options.format == "csv" ? "" : ", by its uuid") << "; --run takes one\n";
 }
 
-/// How the table for people is written; none: the plain export is wanted. Throws SetupError.
+/// The options of a formatted table; none: plain export. Throws SetupError.
 std::optional<TableFormat> table_format_of(const ExportOptions& options) {
   const auto refuse_option = [](std::string option, std::string why, std::string advice) {
     throw SetupError({Errc::bad_argument, "cannot export", std::move(option), std::move(why), std::move(advice)});
@@ -70,9 +70,9 @@ std::optional<TableFormat> table_format_of(const ExportOptions& options) {
   TableFormat format;
   format.has_seconds = options.time == "seconds";
   if (!options.start.empty() && !format.has_seconds)
-    refuse_option("--start " + options.start, "it is of --time seconds", "");
+    refuse_option("--start " + options.start, "it works only with --time seconds", "");
   if (!options.within.empty() && options.join.empty())
-    refuse_option("--within " + options.within, "it is of --join", "");
+    refuse_option("--within " + options.within, "it works only with --join", "");
   const std::string option = !options.join.empty()        ? "--join"
                              : !options.separator.empty() ? "--separator"
                              : !options.decimal.empty()   ? "--decimal"
@@ -80,22 +80,22 @@ std::optional<TableFormat> table_format_of(const ExportOptions& options) {
                              : format.has_seconds         ? "--time"
                                                           : "";
   if (option.empty()) return {};
-  if (options.format != "csv")
-    refuse_option(option, "it is of CSV, and not of " + options.format, "leave --format out");
+  if (options.format != "csv") refuse_option(option, "it needs --format csv, not " + options.format, "remove --format");
   if (!options.folder.empty())
-    refuse_option(option, "it is of one topic, and --folder of all", "choose one by --topic");
-  if (!options.step.empty()) refuse_option(option, "it is of events, and --step of steps", "choose one of them");
+    refuse_option(option, "this option needs one topic, but --folder exports all", "choose one by --topic");
+  if (!options.step.empty()) refuse_option(option, "it does not work together with --step", "remove one of the two");
   const std::string& said = options.separator;
   const char separator = said.empty() ? ',' : separator_of(said);
   const bool is_wrong = separator != '\t' && (separator < ' ' || separator == '"' || separator == '-' ||
                                               separator == '.' || std::isalnum(static_cast<unsigned char>(separator)));
   if (is_wrong)
-    refuse_option("--separator " + said, "it must be one character, which separates cells", "such as \";\", or tab");
+    refuse_option("--separator " + said, "it must be one character, which separates cells",
+                  "write one such as \";\", or tab");
   format.separator = separator;
   if (options.decimal == ",") format.decimal = ',';
   if (said.empty() && format.decimal == ',') format.separator = ';';
   if (format.separator == format.decimal)
-    refuse_option("--separator " + said, "it is the decimal mark, too", "such as \";\", or tab");
+    refuse_option("--separator " + said, "it is the decimal mark, too", "write one such as \";\", or tab");
   format.digits = static_cast<int>(options.digits);
   if (!options.start.empty()) format.start = parse_time(options.start);
   format.join = options.join;
@@ -145,7 +145,7 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
     config.step = parse_duration(options.step).or_throw();
     if (config.step <= Duration{0})
       throw SetupError(
-          {Errc::bad_argument, "cannot export", "--step " + options.step, "it is not above 0", "such as 1s"});
+          {Errc::bad_argument, "cannot export", "--step " + options.step, "it is not above 0", "write one such as 1s"});
   }
   const std::optional<TableFormat> table_format = table_format_of(options);
   Progress progress(err, options.progress == ExportOptions::Progress::shown);

@@ -82,7 +82,7 @@ class TableWriter {
                                 .ptr;
     put_digits({digits.data(), static_cast<std::size_t>(end - digits.data())});
   }
-  /// Exact: decimals as there are.
+  /// Exact: all decimals.
   void put_seconds(Duration time) {
     const std::int64_t ns = time.count();
     const auto size = ns < 0 ? std::uint64_t{0} - static_cast<std::uint64_t>(ns) : static_cast<std::uint64_t>(ns);
@@ -104,7 +104,7 @@ class TableWriter {
   std::string text;
 
  private:
-  /// A number as C++ writes it, with the decimal mark that is wanted.
+  /// A number as C++ writes it, with the chosen decimal mark.
   void put_digits(std::string_view digits) {
     std::string number(digits);
     if (number.starts_with('-') && number.find_first_not_of("-0.") == std::string::npos) number.erase(0, 1);
@@ -126,7 +126,7 @@ class JoinedTopic {
   const std::string& topic() const noexcept { return topic_; }
   const std::vector<Column>& columns() const noexcept { return columns_; }
 
-  /// Rows are asked for in the order of runs and times.
+  /// Must be called in the order of runs and times.
   void advance_to(std::int64_t run, Time time) {
     while (next_ != nullptr && (next_->run() < run || (next_->run() == run && next_->header().time <= time))) {
       const EventView event = next_->event();
@@ -154,7 +154,7 @@ class JoinedTopic {
   std::vector<std::byte> payload_;
 };
 
-/// The topic of the rows, of those that the filter takes.
+/// The topic of the rows, among those that the filter takes.
 std::string topic_of_rows(const Recording& recording, const std::vector<RecordedTopic>& topics,
                           const std::string& pattern) {
   std::string topic;
@@ -162,8 +162,8 @@ std::string topic_of_rows(const Recording& recording, const std::vector<Recorded
     if (!topic_matches(pattern, one.topic) || one.topic == topic) continue;
     if (!topic.empty())
       refuse(Errc::bad_argument, recording,
-             "the rows of a table are of one topic, and there are " + topic + " and " + one.topic,
-             "choose one by --topic; --join puts others beside it");
+             "a table can have the rows of only one topic, but there are " + topic + " and " + one.topic,
+             "choose one by --topic; --join adds columns of others");
     topic = one.topic;
   }
   return topic;

@@ -1,4 +1,4 @@
-// The CSV of a recording as people and their programs want it: other marks, rounded numbers, seconds, columns of other
+// Writes the CSV of a recording for spreadsheets: other marks, rounded numbers, seconds, columns of other
 // topics. Private to the program.
 #pragma once
 
@@ -17,8 +17,8 @@ struct TableFormat {
   int digits = -1;                      ///< of numbers after the decimal mark; -1: the fewest that read back equal
   bool has_seconds = false;             ///< times are seconds since `start`
   std::optional<Time> start = {};       ///< none: the time of each run's first row
-  std::vector<std::string> join = {};   ///< topics whose last event of the run at or before a row stands in it
-  std::optional<Duration> within = {};  ///< how much older than the row that may be; none: any
+  std::vector<std::string> join = {};   ///< topics whose last event of the run at or before a row is in the row
+  std::optional<Duration> within = {};  ///< largest age of that event; none: any
 };
 
 /// Writes the rows of a topic, each with the last events of the joined topics, as CSV. Values that are absent, and

@@ -31,7 +31,7 @@ int graph(const Registry& registry, const GraphOptions& options) {
     std::cerr << "rtdata: " << options.file
               << (options.machine.empty()
                       ? " has no machines"
-                      : " has no machine \"" + options.machine + "\"" + (names.empty() ? "" : "; there are " + names))
+                      : " has no machine \"" + options.machine + "\"" + (names.empty() ? "" : "; available: " + names))
               << std::endl;
     return exit_other;
   }

@@ -6,8 +6,8 @@
 
 namespace rtdata::app {
 
-/// As text in an element or in an attribute in quotes, whatever it holds, with no markup; what is not printable becomes
-/// '?'. A longer one than `most` characters is cut.
+/// Escapes a text for an element or a quoted attribute: it cannot contain markup; characters that are not printable
+/// become '?'. A text of more than `most` characters is cut.
 std::string html_text(std::string_view text, std::size_t most = 400);
 
 }  // namespace rtdata::app

@@ -44,7 +44,7 @@ struct Found {
   Time first{}, last{};  // the earliest, the latest
   std::uint64_t rows = 0;
   std::uint64_t short_rows = 0, first_short_line = 0;  // rows that end early
-  std::uint64_t cut_line = 0;                          // of a last row that is left out; 0: none is
+  std::uint64_t cut_line = 0;                          // of a last row that is skipped; 0: none
   std::uint64_t out_of_order = 0, twice = 0, midnights = 0, headings_again = 0, without_time = 0, others = 0;
   std::vector<Place> places;                             // only if rows are sorted
   std::optional<std::pair<Duration, Duration>> offsets;  // of --zone: the least, the largest
@@ -59,7 +59,7 @@ bool is_of_columns(std::vector<detail::CsvCell>& cells, const std::vector<Import
   return cells.size() == columns.size();
 }
 
-/// Of a row that looks like a comment. Empty: it does not.
+/// Advice for a row that looks like a comment. Empty: it does not.
 std::string comment_advice(const std::vector<detail::CsvCell>& cells) {
   for (const char* const begin : {"#", "//", ";", "%", "!"})
     if (cells.front().text.starts_with(begin))
@@ -80,7 +80,7 @@ std::string column_of_time(const ImportOptions& options) {
   return all;
 }
 
-/// Of the columns of time: the heading, with its unit where that is in a row of its own.
+/// The heading of the time columns, with the unit if that is in a separate row.
 std::string heading_of_time(const Found& found) {
   std::string all;
   for (const std::size_t at : found.time_columns) {
@@ -100,7 +100,7 @@ std::string format_for(const std::string& when, const Found& found) {
   return format;
 }
 
-/// The text of the time in a row, of which date and time, or more parts, may be cells of their own.
+/// The text of the time in a row; date and time, or more parts, may be in separate cells.
 std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& found) {
   if (found.time_columns.empty()) return {};
   std::string text = cells[found.time_columns.front()].text;
@@ -132,7 +132,7 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
     advice = "its numbers have decimal commas: write --decimal ,";
   } else if (has_date && when.size() == 10 && options.time_format.empty()) {
     advice = "if its rows are days, write --time-format %F";
-  } else if (has_date && error.what == "not a time") {  // as ISO 8601 has it, whose advice is how to write it
+  } else if (has_date && error.what == "not a time") {  // looks like ISO 8601, whose own advice says how to write that
     advice = "for another notation write --time-format, such as \"%F %T %z\"";
   } else if (has_reason && !error.advice.empty()) {
     advice = error.advice;
@@ -141,12 +141,12 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
       advice = "its heading \"" + heading + "\" seems to say one: write --zone " + zone + "; or " +
                advice.substr(std::string("write ").size());
   } else if (when.find_first_not_of(' ') == std::string::npos) {
-    advice = "if rows without a time are to be left out, write --partial";
+    advice = "to skip rows without a time, write --partial";
   } else if (advice = comment_advice(cells); found.rows == 0 && !has_digits) {
     advice = "if the row has the units, write --units row; if the heading has two rows, --head 2" +
              (advice.empty() ? "" : "; " + advice);
   } else if (advice.empty()) {
-    if (!has_reason) advice = "a number, or a time as 2026-03-01T12:00:00Z";
+    if (!has_reason) advice = "write a number, or a time such as 2026-03-01T12:00:00Z";
     if (!has_reason && has_digits)
       advice += "; for another notation write --time-format, such as \"" + format_for(when, found) + "\"";
     if (!has_digits)
@@ -161,25 +161,25 @@ std::string time_text(const std::vector<detail::CsvCell>& cells, const Found& fo
                 advice);
 }
 
-/// Of a row that is before the row above it: sorting is not always what puts it right.
+/// Advice for a row that is before the row above it: sorting is not always the remedy.
 std::string sort_advice(const ImportOptions& options, const ImportNotation& notation, std::uint64_t line, Time before,
                         Time time, const std::string& when) {
   double number = 0;
   if (has_no_date(options))
-    return "if all of its rows are of one day, write --sort; if they are not, the table wants a column with the date";
+    return "if all of its rows are of one day, write --sort; if they are not, the table needs a column with the date";
   const bool is_count = options.time_format.empty() && is_number(when, notation.numbers, number);
   const Duration was = before - notation.start, is = time - notation.start;
   if (is_count && is >= Duration{0} && is <= was / 4) {
     const std::string above = std::to_string(line - 1);
-    return "its clock seems to begin again in line " + std::to_string(line) + ": take the part above it, head -n " +
-           above + " " + options.file + " >table.csv, and that from there on for itself; if it did not, write --sort";
+    return "its clock seems to begin again in line " + std::to_string(line) + ": import the part above it (head -n " +
+           above + " " + options.file + " >table.csv) and the rest separately; if it did not, write --sort";
   }
   if (is_count) return "sort the rows by time: write --sort; or, if its clock began again there, divide the file there";
   return std::string("sort the rows by time: write --sort") +
          (options.only.empty() ? "; or, if it has rows of several kinds, take one: --only" : "");
 }
 
-/// Refuses a row that has not as many cells as there are columns.
+/// Refuses a row whose number of cells differs from the number of columns.
 [[noreturn]] void refuse_row(const ImportOptions& options, ImportRows& table, const std::vector<detail::CsvCell>& cells,
                              const Found& found) {
   const bool is_short = cells.size() < found.columns.size();
@@ -187,10 +187,10 @@ std::string sort_advice(const ImportOptions& options, const ImportNotation& nota
   const bool has_kind = !options.only.empty() && options.only.front().find('=') == std::string::npos;
   if (advice.empty() && has_kind && options.columns.empty()) advice = "name the columns of these rows: --columns";
   if (advice.empty() && is_short)
-    advice = table.is_at_end() ? "if the file is cut off there, write --partial, which leaves the row out"
+    advice = table.is_at_end() ? "if the file is cut off there, write --partial, which skips the row"
                                : "if rows may end early, write --partial: what they lack is absent";
   if (options.only.empty() && comment_advice(cells).empty())
-    advice += std::string(advice.empty() ? "" : "; ") + "if its rows are of several kinds, take one: --only";
+    advice += std::string(advice.empty() ? "" : "; ") + "if it has rows of several kinds, take one: --only";
   refuse_import(table.where(),
                 std::to_string(cells.size()) + (cells.size() == 1 ? " cell" : " cells") + ", where " +
                     (options.columns.empty() ? "the first row has " : "--columns names ") +
@@ -225,14 +225,14 @@ std::vector<ImportColumn> begin_table(ImportRows& table, const ImportOptions& op
   return columns;
 }
 
-/// True if the row has no time, and such rows are left out.
+/// True if the row has no time, and such rows are skipped.
 bool is_without_time(const std::vector<detail::CsvCell>& cells, const Found& found, const ImportNotation& notation) {
   return notation.takes_partial && notation.step <= 0 &&
          std::all_of(found.time_columns.begin(), found.time_columns.end(),
                      [&](std::size_t column) { return cells[column].text.empty(); });
 }
 
-/// Refuses a table of which no row was chosen.
+/// Refuses a table without a chosen row.
 void check_choices(const ImportOptions& options, const ImportRows& table) {
   for (const ImportChoice& choice : table.choices()) {
     if (choice.has_any) continue;
@@ -299,14 +299,14 @@ void check_order(const ImportOptions& options, const Found& found) {
                     "\"; if the heading is wrong, change it");
 }
 
-/// Refuses numbers of which the scale is not known.
+/// Refuses numbers with an unknown scale.
 void check_scale(const ImportOptions& options, const ImportNotation& notation, const ImportColumn& time,
                  const std::string& first) {
   double number = 0;
   if (!options.time_format.empty() || !is_number(first, notation.numbers, number)) return;
   if (!options.zone.empty() && options.zone != "Z")
-    refuse_import("--zone " + options.zone, "its times are numbers, which count from --start, of whatever zone that is",
-                  "leave --zone out; if they count from a local time, write --start with its offset, such as "
+    refuse_import("--zone " + options.zone, "its times are numbers that count from --start, so they have no zone",
+                  "remove --zone; if they count from a local time, write --start with its offset, such as "
                   "1899-12-30T00:00:00+01:00");
   if (options.scale.empty()) check_days(options, time, first, number);
   const std::string shown = "its column " + time.heading;
@@ -317,7 +317,7 @@ void check_scale(const ImportOptions& options, const ImportNotation& notation, c
                                   : first.size() == 10 ? "%Y%m%d%H"
                                                        : "%Y%m%d%H%M") +
                       "; or --scale 1s if it counts seconds since 1970");
-  // "time_ms", "t in ms": without brackets, only what is nothing else.
+  // "time_ms", "t in ms": without brackets, only texts that cannot be anything else.
   std::string unit = time.unit;
   const std::size_t open = time.heading.find_last_of("([");
   if (unit.empty() && open != std::string::npos && (time.heading.ends_with(')') || time.heading.ends_with(']')))
@@ -331,8 +331,8 @@ void check_scale(const ImportOptions& options, const ImportNotation& notation, c
                   "write --scale \"" + to_string(*duration) + "\"" +
                       (options.scale.empty() ? ", or --scale \"1 s\" if it is wrong" : ", or change the heading"));
   if (!duration && options.scale.empty() && !says_a_zone(unit))
-    refuse_import(options.file, shown + " says " + unit + ", which is no unit of time that is known",
-                  "write --scale, what 1 in it is, such as \"10 us\"");
+    refuse_import(options.file, shown + " says " + unit + ", which is not a known unit of time",
+                  "write the time that 1 in it means, such as --scale \"10 us\"");
 }
 
 Found look_at(const ImportOptions& options, const ImportNotation& notation) {
@@ -375,7 +375,7 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
     if (clock.twice() > twice && is_sorted)
       refuse_import(table.where(),
                     time_text(cells, found) + " comes twice in " + notation.zone +
-                        ", and which it is cannot be known of rows that are not in order of time",
+                        "; the rows are not in time order, so the right one is unknown",
                     "write --zone with an offset such as +01:00, or sort the file");
     if (found.rows++ == 0) found.first = found.last = before = *time;
     if (may_be_digits) digits.look_at(time_text(cells, found));
@@ -494,7 +494,8 @@ ImportNotation notation_of(const ImportOptions& options) {
   ImportNotation notation;
   notation.zone = options.zone;
   if (!options.scale.empty()) notation.scale = parse_duration(options.scale).or_throw();
-  if (notation.scale <= Duration{0}) refuse_import("--scale " + options.scale, "it is not above 0", "such as 10us");
+  if (notation.scale <= Duration{0})
+    refuse_import("--scale " + options.scale, "it is not above 0", "write one such as 10us");
   if (!options.start.empty()) notation.start = parse_iso8601(options.start).or_throw();
   const std::optional<char> in_file = separator_line(options.file);
   notation.skip = std::max<std::uint64_t>(options.skip, in_file ? 1 : 0);
@@ -503,15 +504,15 @@ ImportNotation notation_of(const ImportOptions& options) {
   if (options.time_columns.empty() != has_step || (options.rate > 0 && !options.step.empty()))
     refuse_import(options.file,
                   has_step ? "more than one of --time, --rate and --step is given" : "--time is not given",
-                  "write --time with the heading of its times; of a table without times, --rate or --step");
+                  "write --time with the heading of its times; for a table without times, --rate or --step");
   if (has_step && !(options.time_format + options.scale + options.zone).empty())
     refuse_import(options.file,
-                  "its rows have no times of their own, and --time-format, --scale and --zone are of these",
-                  "leave them out, and write --start with the time of the first row");
+                  "its rows have no times of their own, so --time-format, --scale and --zone have no meaning",
+                  "remove them, and write --start with the time of the first row");
   if (options.rate > 0) notation.step = 1e9L / static_cast<long double>(options.rate);
   if (!options.step.empty()) notation.step = static_cast<long double>(parse_duration(options.step).or_throw().count());
   if (has_step && !(notation.step >= 1))
-    refuse_import("--rate, --step", "its rows are less than 1 ns apart", "such as --rate 32, --step 31.25ms");
+    refuse_import("--rate, --step", "its rows are less than 1 ns apart", "write one such as --rate 32, --step 31.25ms");
   notation.none = options.none;
   notation.strip = options.strip;
   notation.adds_days = options.order != ImportOptions::Order::sorted;
@@ -519,7 +520,8 @@ ImportNotation notation_of(const ImportOptions& options) {
   notation.has_blanks = said == "blanks";
   const char separator = said.empty() ? in_file.value_or(',') : notation.has_blanks ? ' ' : separator_of(said);
   if (separator != '\t' && (separator < ' ' || separator == '"' || std::isalnum(static_cast<unsigned char>(separator))))
-    refuse_import("--separator " + said, "it must be one character, which separates cells", "such as \";\", or tab");
+    refuse_import("--separator " + said, "it must be one character, which separates cells",
+                  "write one such as \";\", or tab");
   notation.separator = separator;
   ImportNumbers& numbers = notation.numbers;
   if (options.decimal == ",") numbers.decimal = ',';
@@ -529,7 +531,7 @@ ImportNotation notation_of(const ImportOptions& options) {
   if (numbers.thousands == std::string(1, numbers.decimal))
     refuse_import("--thousands " + numbers.thousands, "it is the decimal mark, too", "set --decimal");
   if (numbers.thousands.find_first_of("0123456789+-eE\"") != std::string::npos)
-    refuse_import("--thousands " + numbers.thousands, "it may be part of a number", "such as \",\" or \" \"");
+    refuse_import("--thousands " + numbers.thousands, "it may be part of a number", "write one such as \",\" or \" \"");
   if (!notation.zone.empty() && !parse_iso8601("2026-03-01T12:00:00" + notation.zone)) {
     notation.has_named_zone = use_zone(notation.zone);
     if (!notation.has_named_zone)
@@ -538,22 +540,22 @@ ImportNotation notation_of(const ImportOptions& options) {
   }
   notation.time_format = options.time_format;
   if (const std::string mistake = format_mistake(options.time_format); !mistake.empty() && !options.time_format.empty())
-    refuse_import("--time-format " + options.time_format, mistake, "such as \"%d.%m.%Y %H:%M:%S\"");
+    refuse_import("--time-format " + options.time_format, mistake, "write one such as \"%d.%m.%Y %H:%M:%S\"");
   if (!notation.zone.empty() && has_no_date(options))
     refuse_import("--zone " + options.zone,
                   "times of --time-format " + options.time_format + " have no date, and count from --start",
-                  "leave --zone out, and write --start with the day and its offset, such as 2026-03-01T00:00:00+01:00");
+                  "remove --zone, and write --start with the day and its offset, such as 2026-03-01T00:00:00+01:00");
   if (options.time_columns.size() > 1 && options.time_format.empty() && numbers.thousands == " ")
-    refuse_import("--time", "a time of several columns is no number with blanks between its thousands",
+    refuse_import("--time", "a time of several columns is not a number with blanks between its thousands",
                   "write --time-format");
   notation.takes_partial = options.partial == ImportOptions::Partial::taken;
   if (!options.columns.empty() && options.head > 1)
-    refuse_import("--columns " + options.columns, "the table has no heading, and --head is of headings",
+    refuse_import("--columns " + options.columns, "--head needs a heading, but --columns says that there is none",
                   "choose one of them");
   return notation;
 }
 
-/// Of "Time 1" and "Time 2": true if this is a column of times beside that of the time.
+/// True if this is a second column of times, such as "Time 2" beside "Time 1".
 bool is_another_time(const ImportColumn& column, const ImportColumn& time) {
   const auto base = [](const ImportColumn& of) {
     const std::string lower = of.bare.size() > 2 ? detail::lower_case(of.bare) : of.bare;  // not T1 of t
@@ -563,7 +565,7 @@ bool is_another_time(const ImportColumn& column, const ImportColumn& time) {
          !base(time).empty() && base(column) == base(time);
 }
 
-/// What is not as it stands in the table, or may not be as it was meant.
+/// Warns of values that differ from the table, or that may not be as intended.
 void tell_warnings(std::ostream& err, const ImportOptions& options, const Found& found, const ImportNotation& notation,
                    std::uint64_t moved) {
   const auto warn = [&](const std::string& text) { err << "rtdata: warning: " << text << "\n"; };
@@ -581,7 +583,7 @@ void tell_warnings(std::ostream& err, const ImportOptions& options, const Found&
     const std::string text = "column " + column.heading + " is text, with numbers such as \"" +
                              detail::readable(column.first_text) + "\": ";
     if (const std::string mark = column.thousands_in_texts(); !mark.empty())
-      warn(text + "if \"" + mark + "\" stands between thousands, write --thousands \"" + mark + "\"");
+      warn(text + "if \"" + mark + "\" is between thousands, write --thousands \"" + mark + "\"");
     else if (column.numbers_with_more != column.texts)
       continue;
     else if (const std::string more = column.more.substr(
@@ -589,9 +591,9 @@ void tell_warnings(std::ostream& err, const ImportOptions& options, const Found&
              more == "N" || more == "S" || more == "E" || more == "W")
       warn(text +
            (more == "S" || more == "W" ? "of south and west, make negative numbers first"
-                                       : "of a place, take " + more + " off first, and make negative numbers of " +
+                                       : "of a place, remove " + more + " first, and make negative numbers of " +
                                              (more == "N" ? "south" : "west")) +
-           (says_a_place(column.heading) ? "" : "; if " + more + " is a unit, --strip takes it off"));
+           (says_a_place(column.heading) ? "" : "; if " + more + " is a unit, --strip removes it"));
     else
       warn(text + "to have the numbers, write --strip \"" + detail::readable(column.more) + "\"");
   }
@@ -654,8 +656,7 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
   std::error_code ignored;
   if (const auto what = std::filesystem::status(options.file, ignored);
       std::filesystem::exists(what) && !std::filesystem::is_regular_file(what) && !std::filesystem::is_directory(what))
-    refuse_import(options.file, "it is no file that can be read twice",
-                  "write it into a file first, such as table.csv");
+    refuse_import(options.file, "it cannot be read twice", "copy it into a file first, such as table.csv");
   const ImportNotation notation = notation_of(options);
   ImportOptions named = options;
   const std::string stem = std::filesystem::path(options.file).stem().string();

@@ -32,7 +32,7 @@ std::size_t opening_bracket(std::string_view heading, char open, char close) {
   return std::string_view::npos;
 }
 
-/// Of what may stand in ( ): a short word, such as feet or m/s, is; "at nozzle" and "2" are not.
+/// True if a text in ( ) is a unit: a short word, such as feet or m/s; "at nozzle" and "2" are not.
 bool is_unit(std::string_view text) {
   constexpr std::size_t longest = 10;
   return !text.empty() && text.size() <= longest && text.find(' ') == std::string_view::npos &&
@@ -147,7 +147,7 @@ void name_columns(std::vector<ImportColumn>& columns) {
   const auto key = [&](const std::string& text) { return detail::lower_case(tail(text)); };
   for (ImportColumn& column : columns) {
     std::string text = column.heading;
-    // As many programs begin the heading, for those that take it as a comment.
+    // Many programs begin the heading so, for readers that take it as a comment.
     if (&column == &columns.front()) text.erase(0, std::min(text.find_first_not_of("# "), text.size()));
     std::size_t index = 0;
     std::size_t open = opening_bracket(text, '[', ']');
@@ -173,7 +173,7 @@ void name_columns(std::vector<ImportColumn>& columns) {
     column.name = text;
     if (!all.insert(key(text)).second) twice.insert(key(text));
   }
-  // "altitude (baro)" and "altitude (GPS)": what tells them apart is no unit.
+  // "altitude (baro)" and "altitude (GPS)": the text that distinguishes them is not a unit.
   for (ImportColumn& column : columns) {
     if (!column.is_round || !column.array.empty() || !twice.contains(key(column.name))) continue;
     column.name = column.bare + "_" + column.unit;
@@ -233,7 +233,7 @@ Result<std::shared_ptr<const Description>> describe_columns(std::vector<ImportCo
     } else {
       return import_refused(file,
                             "a text in column " + column.heading + " has " + std::to_string(column.longest) + " bytes",
-                            "1024 at most");
+                            "at most 1024 are possible");
     }
   }
   return builder.build();

@@ -20,7 +20,7 @@ struct ImportColumn {
   std::string heading, bare, name, unit;  // bare: the heading without its unit
   std::string array;                      // its array, as for "accel[0]"; empty: none
   std::size_t index = 0;
-  bool is_round = false;  // its unit stands in ( )
+  bool is_round = false;  // its unit is in ( )
   bool is_time = false;
   bool is_text = false;  // whatever its cells are
   ImportNumbers numbers = {};
@@ -35,7 +35,7 @@ struct ImportColumn {
   std::uint64_t values = 0, texts = 0;
   std::string first_text = {};
   std::uint64_t first_text_line = 0;
-  // How many of these texts are numbers with this between thousands.
+  // How many of these texts are numbers with this separator of thousands.
   struct Mark {
     std::string text;
     std::uint64_t count = 0;
@@ -44,10 +44,10 @@ struct ImportColumn {
   std::uint64_t numbers_with_more = 0;  // of these texts: a number, and the same letters behind it
   std::string more = {};                // these letters
   std::string with_zeros = {};          // the first whole number with zeros before it
-  // Whether it may be a time, too: its numbers never fall.
+  // It may be a time, too: its numbers never fall.
   double before = 0;
   bool never_falls = true, rises = false;
-  bool is_as_time = true;  // each cell is as that of the time
+  bool is_as_time = true;  // each cell equals that of the time
 
   /// Integers that are not exact as doubles stay texts.
   void look_at_all() {
@@ -60,13 +60,13 @@ struct ImportColumn {
   bool seems_to_have_thousands() const {
     return has_any && !can_be_number && has_comma && can_be_thousands && are_whole;
   }
-  /// What stands between thousands, if all its texts are such numbers. Empty: nothing.
+  /// The separator of thousands, if all its texts are such numbers. Empty: none.
   std::string thousands_in_texts() const;
-  /// True if it would have numbers but for a few of its cells.
+  /// True if it would have numbers except for a few of its cells.
   bool is_text_for_few() const { return !can_be_number && texts > 0 && texts < values - texts; }
   void look_at(const detail::CsvCell& cell, std::uint64_t line);
   void look_at_text(const std::string& text);
-  /// For people: "integer, may be absent".
+  /// As text: "integer, may be absent".
   std::string type() const;
 };
 

@@ -66,7 +66,7 @@ std::string skip_advice(const std::string& heading, std::size_t columns, const I
   constexpr int most_lines = 1000;
   ImportRows table(options.file, notation);
   std::vector<detail::CsvCell> cells;
-  std::string wider, has_it;  // lines of as many cells as the one below come before others
+  std::string wider, has_it;  // prefers lines with as many cells as the one below
   std::string maybe_wider, may_have_it;
   std::size_t before = 0;
   std::uint64_t first = 0;
@@ -126,8 +126,8 @@ std::vector<ImportColumn> read_format(ImportRows& table, const ImportOptions& op
   return columns;
 }
 
-/// The heading in a line of comment, as of OpenRocket and numpy: it names the time, which the first row does not, and
-/// has as many cells as that. Empty: there is none.
+/// The heading in a comment line, as OpenRocket and numpy write it: it names the time, which the first row does not,
+/// and has as many cells as that. Empty: there is none.
 std::vector<ImportColumn> head_in_comment(const ImportOptions& options, ImportNotation notation) {
   const std::vector<std::string> comments = std::exchange(notation.comments, {});
   if (comments.empty() || options.time_columns.empty()) return {};
@@ -178,7 +178,7 @@ std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& opti
   };
   if (!options.columns.empty()) {
     const auto names = detail::split_csv(options.columns);
-    if (!names) refuse_import("--columns " + options.columns, names.error().why, "such as: t,v");
+    if (!names) refuse_import("--columns " + options.columns, names.error().why, "write names such as t,v");
     for (const detail::CsvCell& name : *names) columns.emplace_back().heading = name.text;
   } else if (auto head = head_in_comment(options, notation); options.head == 1 && !head.empty()) {
     columns = std::move(head);
@@ -189,7 +189,7 @@ std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& opti
     for (std::size_t i = 0; i < cells.size(); ++i) columns[i].heading = cells[i].text;
     if (options.head > 1) {
       next("it has one row, and --head 2 is given");
-      // A cell that spans several columns is written over the first of them.
+      // The heading of several columns is in the cell of the first.
       for (std::size_t i = 1; i < cells.size(); ++i)
         if (columns[i].heading.empty()) columns[i].heading = columns[i - 1].heading;
       for (std::size_t i = 0; i < cells.size(); ++i) {
@@ -234,16 +234,16 @@ std::size_t find_column(const std::vector<ImportColumn>& columns, const std::str
   };
   const auto values = static_cast<std::size_t>(std::count_if(headings.begin(), headings.end(), is_value));
   if (advice.empty() && heading.find(',') != std::string::npos && are_columns(heading, columns))
-    advice = "of several columns there are blanks between their names, as in --time date time";
+    advice = "write blanks between the names of several columns, as in --time date time";
   for (const std::string_view one : headings)
     if (advice.empty() && options.head > 1 && one.starts_with(heading + " "))
-      advice = "of --head 2 it is --time \"" + std::string(one) + "\"";
+      advice = "with --head 2 write --time \"" + std::string(one) + "\"";
   if (advice.empty() && headings.front() == "FMT")
-    advice = "each of its rows is of the kind that it begins with: take one, such as --only IMU";
+    advice = "its rows have different kinds, named in the first cell: take one, such as --only IMU";
   const std::string skip = advice.empty() ? skip_advice(heading, columns.size(), options, notation) : "";
   const bool is_below = skip.find(" has it: ") != std::string::npos;
   if (advice.empty() && (is_value(headings.front()) || (values > columns.size() / 2 && !is_below)))
-    advice = "its first row seems to be no heading: name its " + counted(columns.size()) + " by --columns t,...";
+    advice = "its first row seems not to be a heading: name its " + counted(columns.size()) + " by --columns t,...";
   if (advice.empty()) advice = skip;
   refuse_import(options.file, "it has no column " + heading,
                 advice.empty() ? detail::suggestion(heading, headings) : advice);

@@ -12,8 +12,8 @@
 
 namespace rtdata::app {
 
-/// Reads the heading, which may be in a line of comment if that names the time and has as many cells as the rows,
-/// unless the columns are named by hand, with the row of units after it, and names the columns. Throws SetupError:
+/// Reads the heading and the row of units after it, and names the columns, unless they are named by hand. The heading
+/// may be in a comment line if that names the time and has as many cells as the rows. Throws SetupError:
 /// bad-argument, bad-data.
 std::vector<ImportColumn> read_head(ImportRows& table, const ImportOptions& options, const ImportNotation& notation);
 

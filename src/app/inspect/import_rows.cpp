@@ -67,20 +67,21 @@ Result<void> ImportRows::strip(std::string& text, std::size_t column) {
     rest.erase(rest.find_last_not_of(" \t") + 1);
     double number = 0;
     if (!is_number(rest, notation_.numbers, number)) continue;
-    if (column >= names_.size()) return {};  // its number of cells is looked at elsewhere
+    if (column >= names_.size()) return {};  // the number of cells is checked elsewhere
     const std::string& name = names_[column];
     if ((end == "S" || end == "W") && says_a_place(name))
       return import_refused(where(),
                             "\"" + text + "\" in column " + name + " is " + (end == "S" ? "south" : "west") +
-                                ", which --strip " + end + " would take off",
+                                ", which --strip " + end + " would remove",
                             "make negative numbers of these first, such as by sed -E 's/([0-9.]+)" + end + "/-\\1/'");
     std::string& before = stripped_[column];
     if (before.empty()) before = end;
     if (before != end)
       return import_refused(where(),
                             "\"" + text + "\" in column " + name + " has " + end + ", and rows above have " + before +
-                                ": --strip would take off what tells their numbers apart",
-                            "bring them to one unit first; or leave --strip " + before + " out, for a column of texts");
+                                ": --strip would remove the unit, and values of different units would be mixed",
+                            "convert the column to one unit first, or do not use --strip " + before +
+                                " for it: its cells are then texts");
     text = std::move(rest);
     return {};
   }
@@ -111,7 +112,7 @@ bool ImportRows::is_chosen(std::string_view line, const std::vector<detail::CsvC
   first = first.substr(0, first.find_last_not_of(around) + 1);
   for (ImportChoice& choice : choices_) {
     if (choice.column.has_value() == (cells == nullptr)) continue;
-    if (cells != nullptr && *choice.column >= cells->size()) continue;  // its number of cells is looked at elsewhere
+    if (cells != nullptr && *choice.column >= cells->size()) continue;  // the number of cells is checked elsewhere
     const std::string_view text = cells == nullptr ? first : std::string_view((*cells)[*choice.column].text);
     choice.has_any = choice.has_any || text == choice.text;
     if (text == choice.text) continue;
@@ -155,7 +156,7 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
     if (!utf16_.empty())
       return import_refused(path_, "it is UTF-16",
                             "convert the file: iconv -f " + utf16_ + " -t UTF-8 " + path_ + " >table.csv");
-    // A line of blanks is none, but for a table whose cells tabs separate.
+    // A line of blanks does not count, except in a table whose cells are separated by tabs.
     const std::size_t text = line.find_first_not_of(notation_.separator == '\t' ? " \r" : " \t\r");
     if (!is_quoted && (text == std::string::npos || is_comment(std::string_view(line).substr(text)))) {
       if (text == std::string::npos && are_rows_ && notation_.step > 0 && empty_line_ == 0) empty_line_ = line_;
@@ -164,10 +165,10 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
     }
     if (empty_line_ != 0)
       return Error{Errc::bad_data, "cannot import", path_ + ":" + std::to_string(empty_line_),
-                   "it is empty, and whether a row is missing there cannot be known of rows at even steps",
+                   "the line is empty; with --rate or --step the program cannot tell whether a row is missing here",
                    "remove the line, or write the row, with \"\" for no value"};
     if (notation_.has_blanks) line = with_single_blanks(line);
-    // Before quotes are: what stands in lines of another kind is no CSV.
+    // Before quotes are read: lines of another kind need not be CSV.
     if (!is_quoted && !is_chosen(line, nullptr)) {
       begin();
       continue;
@@ -185,7 +186,7 @@ Result<bool> ImportRows::next(std::vector<detail::CsvCell>& cells) {
       return Error{Errc::bad_data, "cannot import", where(), split.error().where + ": " + split.error().why,
                    has_other_ends ? "if its lines end with CR alone: tr '\\r' '\\n' <" + path_ + " >lines.csv"
                    : are_rows_ ? "if its \" is part of the text, remove them all: tr -d '\"' <" + path_ + " >table.csv"
-                               : "if it is no heading in CSV, name the columns yourself: --skip " +
+                               : "if it is not a heading in CSV, name the columns yourself: --skip " +
                                      std::to_string(line_) + " --columns t,..."};
     }
     cells = *std::move(split);

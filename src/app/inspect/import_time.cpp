@@ -57,7 +57,7 @@ std::optional<Time> later_than(Time start, Duration by) {
 
 std::string_view usual_number(std::string_view text, const ImportNumbers& written, std::string& buffer) {
   const std::string& between = written.thousands;
-  // "-   0.512", as fields of one width have it, and the minus sign that is no hyphen.
+  // "-   0.512", as in fields of fixed width, and the minus sign that is not a hyphen.
   constexpr std::string_view minus = "\u2212";
   std::string with_sign;
   const bool has_minus = text.starts_with(minus);
@@ -77,7 +77,7 @@ std::string_view usual_number(std::string_view text, const ImportNumbers& writte
     const std::size_t next = between.empty() ? std::string_view::npos : whole.find(between);
     const bool is_last = next == std::string_view::npos;
     const std::string_view group = whole.substr(0, next);
-    if (!is_first || !is_last) {  // "1,234" is a number, "12,34" is none
+    if (!is_first || !is_last) {  // "1,234" is a number, "12,34" is not
       std::string_view digits = group;
       if (is_first && (digits.starts_with('-') || digits.starts_with('+'))) digits.remove_prefix(1);
       const bool has_digits = digits.find_first_not_of("0123456789") == std::string_view::npos && !digits.empty();
@@ -134,7 +134,7 @@ void ClockDigits::look_at(std::string_view text) {
   if (minutes_.size() < enough_minutes) minutes_.insert(whole / 100);
   if (seconds_.size() < enough_seconds) seconds_.insert(second);
   const double step = of_day - before_, step_of_number = number - number_before_;
-  // From 085958 to 090000, where the step in seconds stays what it was.
+  // From 085958 to 090000 the step in seconds stays the same.
   constexpr double jump = 30;
   if (rows_ > 1 && step_ > 0 && std::abs(step - step_) <= step_ / 2 && step_of_number - step_of_number_ > jump)
     has_jump_ = true;
@@ -175,7 +175,7 @@ std::string unit_in(std::string_view heading) {
     const std::string& word = words[i];
     if (word.size() < 2 && !(word == "h" && is_last && i + 1 == words.size())) continue;
     const auto duration = duration_of_unit(word);
-    // "day of year", "min since start": elsewhere than at the end a word may be no unit, but for these.
+    // "day of year", "min since start": a word that is not at the end may not be a unit, except these.
     const bool is_plain = (i + 1 == words.size() && is_last) || (duration && *duration < std::chrono::seconds{1}) ||
                           word.size() >= 5;
     if (duration && is_plain) return word;
@@ -271,9 +271,9 @@ Result<Time> ImportClock::read_formatted(const std::string& text) {
     if (!notation_.adds_days && (back > day / 2 || back < -day / 2))
       return import_refused("",
                             std::string("it has no date, and is more than half ") + (has_hour ? "a day" : "an hour") +
-                                " from the row above: which " + (has_hour ? "day" : "hour") +
-                                " it is of cannot be known of rows that are not in order of time",
-                            "sort the file, and leave out --sort; or add a column with the date");
+                                " from the row above; the rows are not in time order, so its " +
+                                (has_hour ? "day" : "hour") + " is unknown",
+                            "sort the file, and do not use --sort; or add a column with the date");
     return time ? Result<Time>(*time)
                 : import_refused("", text + " is not a time that can be recorded", "check --start");
   }
@@ -291,7 +291,7 @@ Result<Time> ImportClock::read_usual(const std::string& text) {
     if (time) return *time;
     return import_refused("", text + " is not a time that can be recorded", "check --scale and --start");
   }
-  // The end of a day, as tables of weather have it.
+  // The end of a day, as weather tables write it.
   constexpr std::size_t hour = 11;
   const bool is_end_of_day = text.size() > hour && text.compare(hour, 5, "24:00") == 0 &&
                              text.find_first_of("123456789", hour + 5) >= text.find_first_of("Zz+-", hour);
@@ -323,7 +323,7 @@ Result<Time> ImportClock::of_zone(Time shown) {
     return import_refused("", "there is no such time in " + notation_.zone + ", where clocks are put forward",
                           "if those of the table were not, write --zone with an offset such as +01:00");
   if (instants.size() > 1) ++twice_;
-  // A table of hours, or of longer steps, has the second of them where the same time comes again.
+  // In a table of hours, or of longer steps, a repeated time is the second of the two.
   const bool is_next = instants.front() == before_ && step_ >= std::chrono::hours{1};
   const Time time = instants.front() < before_ || is_next ? instants.back() : instants.front();
   add_offset(shown - time);

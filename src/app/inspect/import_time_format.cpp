@@ -39,7 +39,7 @@ std::string written_out(std::string_view format) {
 bool is_digit(char c) { return c >= '0' && c <= '9'; }
 bool is_letter(char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z'); }
 
-/// How many digits a part has that is written whole. 0: it has any number of them, or none.
+/// The number of digits of a part with leading zeros. 0: any number, or none.
 std::size_t width_of(char part) {
   switch (part) {
     case 'N':
@@ -125,8 +125,8 @@ class TimeReader {
     const std::size_t at = text_.size() - rest_.size();
     return at > 0 && at < text_.size() && is_digit(text_[at - 1]) && is_digit(text_[at]);
   }
-  /// Loggers and spreadsheets write 09:05 as 905, as they write any number: of several parts with nothing between them
-  /// the first lacks its zeros.
+  /// Loggers and spreadsheets write 09:05 as 905, like any number: the first of several parts with nothing between them
+  /// lacks its zeros.
   void take_zeros_left_out(std::string_view parts) {
     std::size_t width = 0, digits = 0;
     for (; parts.size() > 1 && parts[0] == '%' && width_of(parts[1]) > 0; parts.remove_prefix(2))
@@ -134,7 +134,7 @@ class TimeReader {
     while (digits < rest_.size() && is_digit(rest_[digits])) ++digits;
     zeros_ = digits > 0 && digits < width ? width - digits : 0;
   }
-  /// Up to `most` digits, after the zeros that are left out. False: there is none.
+  /// Up to `most` digits, after the omitted zeros. False: there is none.
   bool number(std::size_t most, int& to) {
     const std::size_t zeros = std::min(most, zeros_);
     zeros_ -= zeros;
@@ -279,7 +279,7 @@ class TimeReader {
 
   std::string_view text_, rest_, format_;
   const bool has_date_ = format_has_date(format_);
-  std::size_t zeros_ = 0;             // at the begin of `rest_`, which are not written
+  std::size_t zeros_ = 0;             // omitted at the begin of `rest_`
   std::size_t decimals_ = 0;          // see WrittenTime
   bool is_behind_mark_ = false;       // the part that is read follows a decimal mark
   std::optional<int> year_, offset_;  // offset: minutes
@@ -307,7 +307,7 @@ std::string format_mistake(std::string_view format) {
     if (all[i] == '%') continue;
     if (std::string_view("YymbBdjHIpMSfLuNzsaA").find(all[i]) == std::string_view::npos)
       return std::string("it has %") + all[i] +
-             ", and there is %Y %y %m %b %d %j %H %I %p %M %S %f %L %u %N %z %s %a %F %T";
+             "; available: %Y %y %m %b %d %j %H %I %p %M %S %f %L %u %N %z %s %a %F %T";
     parts += all[i];
   }
   const auto has = [&](std::string_view any) { return parts.find_first_of(any) != std::string::npos; };

@@ -9,16 +9,16 @@
 
 namespace rtdata::app {
 
-/// Makes the zone that of the process, before it has other threads. False: there is no zone of this name, such as
+/// Sets the zone of the process, before it has other threads. False: there is no zone of this name, such as
 /// Europe/Berlin, on this machine.
 bool use_zone(const std::string& name);
 
-/// The zone that the heading of a column of time says, as --zone has it: "-04:00" of "Date Time, GMT-04:00", "Z" of
-/// "Time (UTC)". Empty: it says none.
+/// The zone in the heading of a time column, as for --zone: "-04:00" of "Date Time, GMT-04:00", "Z" of
+/// "Time (UTC)". Empty: none.
 std::string zone_in(std::string_view heading);
 
-/// When clocks in that zone show this time: once; twice in the hour by which they are set back, the earlier first;
-/// never in the hour by which they are put forward. `shown`: as if it was UTC.
+/// The times at which clocks in that zone show this time: one; two in the hour by which clocks are set back, the
+/// earlier first; none in the hour by which they are put forward. `shown`: as if it was UTC.
 std::vector<Time> instants_of(Time shown);
 
 }  // namespace rtdata::app

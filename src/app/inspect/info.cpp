@@ -77,7 +77,7 @@ void print_fields(const std::vector<RecordedTopic>& topics, std::ostream& out) {
   }
 }
 
-/// The identity of a chip that was taken by the user's word is told as it is: it is one line.
+/// The identity of a chip that the user declared is shown as it is: it is one line.
 std::string what_became_of(const RecordedConfiguration& change) {
   if (change.text.empty()) return "removed";
   return change.object.starts_with("identity of ") ? change.text : "added";

@@ -20,7 +20,7 @@ namespace {
 
 Time time_in(const nlohmann::ordered_json& object, const char* key) { return from_nanoseconds(whole_in(object, key)); }
 
-/// What is not finite is a text in JSON.
+/// A number that is not finite is a text in JSON.
 double number_in(const nlohmann::ordered_json& object, const char* key) {
   const auto found = object.find(key);
   if (found == object.end()) return std::numeric_limits<double>::quiet_NaN();
@@ -125,7 +125,7 @@ void LiveCurves::take_step(const Json& line) {
     for (const auto& [path, of] : data.items()) numbers.push_back(path);
     const bool is_other = units_[topic].contains(wanted.path);
     refuse(wanted.path.empty() ? topic : topic + "." + wanted.path,
-           is_other              ? "it is no number"
+           is_other              ? "it is not a number"
            : wanted.path.empty() ? "it has no numbers"
                                  : "there is no such field",
            nearest_or_all(wanted.path, numbers));
@@ -146,7 +146,7 @@ void LiveCurves::prune() {
   for (auto& [key, field] : curves_) {
     std::erase_if(field.curve.gaps, [&](const CurveGap& one) { return one.last < first; });
     auto& steps = field.curve.steps;
-    // Seldom, as it moves the others.
+    // Seldom, because it moves the others.
     if (!steps.empty() && steps.front().begin < first - window_ / 4)
       std::erase_if(steps, [&](const CurveStep& one) { return one.begin < first; });
   }

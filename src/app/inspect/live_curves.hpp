@@ -19,14 +19,14 @@ namespace rtdata::app {
 class LiveCurves {
  public:
   /// `fields`: TOPIC.FIELD, or TOPIC for all its numbers; none: all there are. `topics`: of the instance. `window`:
-  /// what is kept. Throws SetupError: there is no such topic, with the nearest name.
+  /// the time that is kept. Throws SetupError: there is no such topic, with the nearest name.
   LiveCurves(const std::vector<std::string>& fields, const std::vector<std::string>& topics, Duration window);
 
   /// The line that asks for the steps. `with_past`: from the recording too.
   std::string request(Duration step, bool with_past) const;
   /// A line of the answer. Throws SetupError (not_found): the topic has no such number, with the nearest name.
   void take(std::string_view line);
-  /// What was asked for of before has come.
+  /// The requested earlier values have come.
   bool is_live() const noexcept { return is_live_; }
   bool is_empty() const noexcept { return curves_.empty(); }
 
@@ -38,7 +38,7 @@ class LiveCurves {
   };
   /// In the order of the fields.
   std::vector<const Field*> fields() const;
-  /// The last window, in steps that are not shorter than `step`, up to the newest line. `status`: for what was lost.
+  /// The last window, in steps that are not shorter than `step`, up to the newest line. `status`: for the losses.
   Plot plot(Duration step, const Status& status) const;
   Time now() const noexcept { return now_; }
 

@@ -32,13 +32,13 @@ constexpr Duration longest_silence = 10s;  // an instance says something every s
 constexpr Duration refresh = 1s;
 constexpr Duration most_deaf = 20ms;  // longest time without a check for keys
 
-/// What to show of an instance, and how.
+/// The view of an instance.
 struct View {
   const char* command;
   std::vector<std::string> fields;
   Duration window, step;
   HowOften how_often;
-  /// With `once`: how long it waits where no recording has what was before, or nothing comes.
+  /// With `once`: how long it waits if no recording has earlier events, or nothing comes.
   Duration once_after;
   std::function<Lines(const LiveCurves&, const Status&)> draw;
 };
@@ -77,7 +77,7 @@ class Watch {
       print(text + (is_live ? "\x1b[Jq ends" : ""));
       if (is_once) break;
     }
-    cursor.reset();  // before what is said of the end
+    cursor.reset();  // before the messages at the end
     if (failed_.empty() && has_ended_) std::cerr << "rtdata: pid " << pid_ << " has ended" << std::endl;
     if (failed_.empty()) return exit_good;
     std::cerr << "rtdata: pid " << pid_ << ": " << failed_ << std::endl;
@@ -96,7 +96,7 @@ class Watch {
     is_first_ = false;
   }
 
-  /// Takes what comes until it is to be drawn. False: nothing more comes.
+  /// Takes events until the next drawing. False: nothing more comes.
   bool take_lines(Terminal& terminal, Clock::time_point begun) {
     const Clock::time_point until = Clock::now() + refresh;
     while (failed_.empty() && (Clock::now() < until || !curves_->is_live())) {
@@ -107,7 +107,7 @@ class Watch {
       if (view_.how_often == HowOften::once && Clock::now() - begun >= view_.once_after) return true;
       const auto line = steps_.receive(most_deaf);
       if (!line) {
-        failed_ = line.error().text();  // killed, if it is closed without a word
+        failed_ = line.error().text();  // closed without a message: it was killed
         return false;
       }
       if (!*line) {
@@ -170,7 +170,7 @@ Lines lines_in(const std::string& text) {
   return lines;
 }
 
-/// A number a line, over all that is kept.
+/// One number per line, over the whole kept time.
 Lines table_of(const LiveCurves& curves, Time now) {
   Table table({"field", ">last", "unit", ">least", ">mean", ">most", ">age"});
   const std::vector<const LiveCurves::Field*> fields = curves.fields();
@@ -191,7 +191,7 @@ Lines table_of(const LiveCurves& curves, Time now) {
   return lines_in(table.text(""));
 }
 
-/// Of this topic's sensors alone.
+/// Only this topic's sensors.
 Status status_of_topic(const Status& status, const std::string& topic) {
   Status of = status;
   std::erase_if(of.sensors, [&](const Status::Sensor& sensor) { return sensor.topic != topic; });
@@ -208,7 +208,7 @@ Status status_of_topic(const Status& status, const std::string& topic) {
   return of;
 }
 
-/// What can be plotted, of what came by now.
+/// The fields received until now that can be plotted.
 Lines list_of(const LiveCurves& curves, const Status& status, const std::string& instance) {
   std::map<std::string, std::vector<std::string>> by_topic;
   for (const Status::Account& topic : status.topics) by_topic[topic.name];

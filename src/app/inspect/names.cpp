@@ -34,7 +34,7 @@ std::string list_of_fields(const std::map<std::string, std::vector<std::string>>
 std::string nearest_or_all(const std::string& name, const std::vector<std::string>& known) {
   for (std::string part = name;; part.resize(part.rfind('.'))) {
     if (const std::string nearest = nearest_name(part, known); !nearest.empty()) return "did you mean " + nearest + "?";
-    if (part.find('.') == std::string::npos) return "there is " + list_of({known.begin(), known.end()});
+    if (part.find('.') == std::string::npos) return "available: " + list_of({known.begin(), known.end()});
   }
 }
 

@@ -25,7 +25,7 @@ std::string_view variable(const char* name) {
   return value == nullptr ? std::string_view() : value;
 }
 
-/// Whether programs are to write UTF-8: the first of these variables that is set says so.
+/// True if programs should write UTF-8: the first of these variables that is set decides.
 bool is_utf8_locale() {
   for (const char* const name : {"LC_ALL", "LC_CTYPE", "LANG"}) {
     const std::string_view value = variable(name);
@@ -37,7 +37,7 @@ bool is_utf8_locale() {
   return false;
 }
 
-constexpr std::size_t widest_label = 12;  // of the values beside the axis, with a blank
+constexpr std::size_t widest_label = 12;  // of the values left of the axis, with a blank
 constexpr std::size_t least_rows = 2;     // of a panel
 
 bool is_braille(const PlotStyle& style) { return style.characters == PlotStyle::Characters::braille; }
@@ -125,7 +125,7 @@ class Canvas {
   }
 
   std::string ascii(std::size_t x, std::size_t row) const {
-    // By which of the three dots are there: above 4, in the middle 2, below 1.
+    // Index by the set dots: upper 4, middle 2, lower 1.
     constexpr std::string_view shapes = " .-:'::|";
     const unsigned pattern = (dot(x, row * 3) ? 4U : 0U) | (dot(x, row * 3 + 1) ? 2U : 0U) |
                              (dot(x, row * 3 + 2) ? 1U : 0U);
@@ -137,7 +137,7 @@ class Canvas {
   std::vector<bool> dots_;
 };
 
-// ---- what is not there
+// ---- missing data
 
 constexpr const char* no_number = "no number: absent, or NaN";
 constexpr const char* infinite = "infinite";
@@ -146,15 +146,15 @@ constexpr char several = '*';
 /// One mark for two.
 char both(char a, char b) { return a == ' ' || a == b ? b : b == ' ' ? a : several; }
 
-/// The reasons of all curves: each has a letter, and is told once.
+/// The reasons of all curves: each has a letter, and is shown once.
 class Reasons {
  public:
   explicit Reasons(const Plot& plot) : plot_(plot) {}
 
-  /// The marks of a curve, one a step; a blank where everything is there.
+  /// The marks of a curve, one per step; a blank where nothing is missing.
   std::string marks_of(const Curve& curve, std::size_t dots) {
     std::string marks(dots, ' ');
-    // Curves of one source have its gaps in common.
+    // Curves of one source have the same gaps.
     const bool is_counted = sources_.insert(curve.topic + " " + curve.origin).second;
     for (const CurveGap& gap : curve.gaps) mark(marks, {gap.first, gap.last, gap.lost, gap.reason}, is_counted);
     for (const CurveStep& step : curve.steps) {
@@ -231,7 +231,7 @@ class Reasons {
 
 // ---- panels
 
-/// Where the terminal has colours.
+/// The text in a colour, if the terminal has colours.
 std::string coloured(const std::string& text, const char* code, const PlotStyle& style) {
   if (style.colours == PlotStyle::Colours::none || text.empty()) return text;
   return "\x1b[" + std::string(code) + "m" + text + "\x1b[0m";
@@ -293,7 +293,7 @@ Canvas drawn(const Curve& curve, const Scale& scale, const Plot& plot, const std
   return canvas;
 }
 
-/// Beside each row of a panel; empty where there is none, or no room for it: the title has the range.
+/// The text left of each row of a panel; empty if there is none, or no room: the title has the range.
 Lines labels_of(const Curve& curve, const Scale& scale, std::size_t rows, std::size_t room) {
   Lines labels(rows);
   if (!scale.least) return labels;
@@ -310,7 +310,7 @@ Lines labels_of(const Curve& curve, const Scale& scale, std::size_t rows, std::s
   return labels;
 }
 
-/// The axis of time, and what its marks are.
+/// The time axis, and the texts of its marks.
 Lines axis_of(const Plot& plot, const PlotStyle& style) {
   const Across across(style);
   const bool is_drawn = is_braille(style);
@@ -354,8 +354,8 @@ Lines picture_of(const Plot& plot, const PlotStyle& style) {
     const Curve& curve;
     Scale scale;
     Lines title;
-    std::string marks;  // one a step
-    std::string cells;  // one a character; empty: all is there
+    std::string marks;  // one per step
+    std::string cells;  // one per character; empty: nothing is missing
   };
   std::vector<Panel> panels;
   Reasons reasons(plot);
@@ -380,7 +380,7 @@ Lines picture_of(const Plot& plot, const PlotStyle& style) {
   if (has_several) below.push_back(std::string(1, several) + "  several of these");
   for (const std::string& note : plot.notes) add_wrapped(below, printable(note), style.columns);
 
-  std::size_t fixed = lines.size() + below.size() + 3;  // the axis, and where the terminal goes on
+  std::size_t fixed = lines.size() + below.size() + 3;  // the axis, and the line where the terminal continues
   for (const Panel& panel : panels) fixed += panel.title.size() + (panel.cells.empty() ? 0 : 1);
   const std::size_t rows = std::max(
       least_rows, (style.rows - std::min(style.rows, fixed)) / std::max<std::size_t>(panels.size(), 1));

@@ -19,7 +19,7 @@ std::string reason_of(const RecordedGap& gap) { return gap_text(gap.kind, gap.re
 
 namespace {
 
-/// The number that an alternative of Value is.
+/// The number in a Value.
 Number number_of(const Value& value) {
   if (const auto* const whole = std::get_if<std::int64_t>(&value)) return *whole;
   if (const auto* const natural = std::get_if<std::uint64_t>(&value)) return *natural;
@@ -28,7 +28,7 @@ Number number_of(const Value& value) {
 
 /// One origin on one topic.
 struct Source {
-  std::vector<std::vector<Curve>> curves;  // of each field that was chosen of that topic; several: its type changed
+  std::vector<std::vector<Curve>> curves;  // of each chosen field of that topic; several: its type changed
   std::vector<CurveGap> gaps;
   bool has_schedule = false;
   std::uint64_t last_sequence = 0;  // of the step before
@@ -36,10 +36,10 @@ struct Source {
 };
 using Sources = std::map<std::pair<std::string, std::string>, Source>;  // by topic and origin
 
-/// How a run is read.
+/// The steps in which a run is read.
 struct Sampling {
-  Duration step{1};    ///< that the recording gives
-  Duration column{1};  ///< of the curves: as long, or several of these joined
+  Duration step{1};    ///< read from the recording
+  Duration column{1};  ///< of the curves: the same, or several of these joined
   RowFilter::Times times = RowFilter::Times::utc;
 };
 
@@ -57,7 +57,7 @@ class Reader {
         source(entry.topic, entry.origin).has_schedule = entry.sensor.has_schedule;
     RowFilter filter{.run = range.run.run, .origin = origin};
     if (topics_.size() == 1) filter.topic = topics_.begin()->first;
-    if (sampling.times == RowFilter::Times::utc) {  // recorded steps are of all of a run
+    if (sampling.times == RowFilter::Times::utc) {  // recorded steps cover the whole run
       filter.from = range.from;
       filter.until = range.until;
     }
@@ -113,7 +113,7 @@ class Reader {
     return sampling_.times == RowFilter::Times::utc ? begin : range_.line.utc(begin);
   }
 
-  /// What sequences between two steps, or within one, do not have a row.
+  /// Missing rows: sequences between two steps, or within one, without a row.
   void add_missing(Source& of, const RecordedRow& row, std::uint64_t events) {
     constexpr const char* not_stored = "not stored: dropped by the recording";
     const Time begin = begin_of(row);
@@ -170,7 +170,7 @@ class Reader {
 
   std::int64_t column_of(Time time) const { return floor_of((time - range_.from).count(), sampling_.column.count()); }
 
-  /// To the column that it lies in.
+  /// Adds it to its column.
   void add(const CurveStep& step, Curve& curve) const {
     if (step.numbers != 0) {
       if (!curve.least || step.least < curve.least->number) curve.least = {step.least, step.begin};
@@ -181,7 +181,7 @@ class Reader {
     is_joined ? join(step, curve.steps.back()) : curve.steps.push_back(step);
   }
 
-  /// Of the paths.
+  /// The leaves of the paths.
   const std::vector<Figures>& places_of(const RecordedRow& row, Topic& topic) const {
     const auto [known, is_new] = topic.places.try_emplace(row.topic().version);
     if (!is_new) return known->second;
@@ -200,7 +200,7 @@ class Reader {
   Sources sources_;
 };
 
-/// There is nothing of the topic, or of that origin on it, in the run.
+/// Throws the error of a run without data of the topic, or of that origin on it.
 [[noreturn]] void refuse_run(const Recording& recording, std::int64_t run, const std::string& topic,
                              const std::optional<std::string>& origin) {
   std::set<std::string> runs, origins;
@@ -214,13 +214,15 @@ class Reader {
   const std::string of_run = "run " + std::to_string(run);
   const bool has_others = !origins.empty();
   std::string why = of_run + (has_others ? " has none of origin " + *origin : " has nothing of it");
-  std::string advice = has_others ? "there is " + list_of(origins) : runs.empty() ? "" : "see --run: " + list_of(runs);
+  std::string advice = has_others     ? "available: " + list_of(origins)
+                       : runs.empty() ? ""
+                                      : "see --run: " + list_of(runs);
   throw SetupError({Errc::not_found, "cannot plot", topic, std::move(why), std::move(advice)});
 }
 
-// ---- what the account says
+// ---- the account
 
-/// What a topic lost in the run, and the unrecorded topics that it is made of.
+/// The losses of a topic in the run, and of its unrecorded source topics.
 TopicLoss loss_of(const RunReport& account, const std::string& topic) {
   TopicLoss loss;
   for (const TopicLoss& one : account.losses) {
@@ -290,7 +292,7 @@ Plot empty_plot(const Recording& recording, const RecordedRange& range, Duration
   return plot;
 }
 
-/// Gives the curves of one topic the gaps, and what the account says.
+/// Adds the gaps and the verdict of the account to the curves of one topic.
 void finish(Sources& sources, const std::string& topic, const RunReport& account, bool is_whole, Plot& plot) {
   const TopicLoss loss = loss_of(account, topic);
   const std::string verdict = verdict_of(account, loss, sources, is_whole);
@@ -321,8 +323,8 @@ void add_unknown(const RunReport& account, Plot& plot) {
   for (const std::string& what : account.not_known) plot.notes.push_back("not known: " + what);
   for (const TopicLoss& loss : account.losses)
     if (loss.topic.empty())
-      plot.notes.push_back("not known: of which sensors, that had only begun, " + std::to_string(loss.not_saved) +
-                           " lost events were");
+      plot.notes.push_back("not known: the sensors, which had only begun, of " + std::to_string(loss.not_saved) +
+                           " lost events");
 }
 
 }  // namespace
@@ -353,7 +355,7 @@ std::vector<ChosenField> fields_of_run(const Recording& recording, const RunInfo
   for (const LedgerEntry& entry : recording.ledger(run.run).or_throw()) topics.insert(entry.topic);
   std::vector<ChosenField> fields;
   for (const RecordedTopic& topic : recording.topics().or_throw()) {
-    // A run that goes on, or was killed, may have topics that no account has yet.
+    // A running or killed run may have topics that no account has yet.
     if (!topics.contains(topic.topic) && run.state == RunState::closed) continue;
     if (topic.topic.starts_with('$') || is_of_course(*topic.description)) continue;
     for (const Leaf& leaf : topic.description->leaves()) {

@@ -22,11 +22,11 @@ std::string reason_of(const RecordedGap& gap);
 Plot curves_of(const Recording& recording, const RecordedRange& range, const std::vector<ChosenField>& fields,
                const std::optional<std::string>& origin, Duration step);
 
-/// All numbers of a run, but of what its course is made of.
+/// All numbers of a run, except those of its course.
 std::vector<ChosenField> fields_of_run(const Recording& recording, const RunInfo& run);
 
-/// The same of all numbers of a run, but of what its course is made of, from the steps in the recording where these are
-/// fine enough: at most about `columns` steps in each, and fewer, but 120, if there are more than 200 curves.
+/// The same for all numbers of a run, except those of its course, from the recorded steps if these are fine enough: at
+/// most about `columns` steps in each; fewer, but at least 120, if there are more than 200 curves.
 /// `account`: of the run.
 Plot curves_of_run(const Recording& recording, const RecordedRange& range, const RunReport& account,
                    std::size_t columns);

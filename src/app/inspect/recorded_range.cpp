@@ -14,7 +14,7 @@
 namespace rtdata::app {
 namespace {
 
-/// "+01:00", this machine's at that time of its own.
+/// "+01:00": the offset of this computer's zone at that local time.
 std::string zone_at(Time time) {
   const auto seconds = static_cast<std::time_t>(to_nanoseconds(time) / 1'000'000'000);
   std::tm here{};
@@ -29,7 +29,7 @@ std::string zone_at(Time time) {
 Time last_instant(const Recording& recording, const RunInfo& run) {
   Time end = run.ended.value_or(run.started);
   if (run.state != RunState::recording) return end;
-  // The account is a second old at most: few rows came after it.
+  // The account is at most a second old: few rows came after it.
   constexpr Duration step = std::chrono::milliseconds{10};
   auto steps = recording.steps({.run = run.run, .from = end}, step).or_throw();
   while (const RecordedRow* row = steps.next().or_throw()) end = std::max(end, row->header().time + step);
@@ -64,15 +64,17 @@ RecordedRange range_of(const Recording& recording, const PartOptions& options, c
   range.from = from.value_or(std::min(start, range.until));
   if (!options.last.empty()) {
     const Duration last = parse_duration(options.last).or_throw();
-    if (from) refuse(Errc::bad_argument, "--last " + options.last, "--from says where it begins, too", "leave out one");
-    if (last <= Duration{0}) refuse(Errc::bad_argument, "--last " + options.last, "it is not above 0", "such as 10s");
+    if (from)
+      refuse(Errc::bad_argument, "--last " + options.last, "--from says where it begins, too", "remove one of the two");
+    if (last <= Duration{0})
+      refuse(Errc::bad_argument, "--last " + options.last, "it is not above 0", "write one such as 10s");
     const Duration all = range.until - std::min(start, range.until);
     range.from = range.until - std::min(last, std::max(all, Duration{1}));
   }
   if (range.until <= range.from)
     refuse(Errc::bad_argument, to_iso8601(range.from) + " to " + to_iso8601(range.until), "it ends before it begins",
            "the run is from " + to_iso8601(start) + " to " + to_iso8601(end));
-  constexpr Duration longest = std::chrono::hours{100 * 365 * 24};  // of 292 years that 64 bits of ns have
+  constexpr Duration longest = std::chrono::hours{100 * 365 * 24};  // 64 bits of ns reach 292 years
   if (range.from < range.until - longest)
     refuse(Errc::bad_argument, to_iso8601(range.from) + " to " + to_iso8601(range.until), "it is longer than 100 years",
            "the run is from " + to_iso8601(start) + " to " + to_iso8601(end));

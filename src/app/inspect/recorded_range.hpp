@@ -19,11 +19,11 @@ struct RecordedRange {
   bool is_whole = true;  ///< all of the run
 };
 
-/// Recorded time: the end of a run; of one that is being recorded, or was not closed, behind its last row.
+/// The recorded time of the end of a run. A run that is recorded, or was not closed, ends after its last row.
 Time last_instant(const Recording& recording, const RunInfo& run);
 
-/// The end of a run that is being recorded, or was not closed, is behind its last row. `command`: "cannot plot". Throws
-/// SetupError: there is no such run, what is wrong with a time.
+/// A run that is being recorded, or was not closed, ends after its last row. `command`: "cannot plot". Throws
+/// SetupError: there is no such run, or a time is invalid.
 RecordedRange range_of(const Recording& recording, const PartOptions& options, const char* command);
 
 }  // namespace rtdata::app

@@ -19,7 +19,7 @@
 namespace rtdata::app {
 namespace {
 
-/// The field that a limit watches unless it says which: `value`, or the only number.
+/// The field that a limit watches by default: `value`, or the only number.
 std::string watched_field(const Description& of) {
   if (of.find("value") != nullptr) return "value";
   std::string only;
@@ -31,7 +31,7 @@ std::string watched_field(const Description& of) {
   return only;
 }
 
-/// The limits that a configuration has, by "TOPIC.FIELD". One that cannot be read has none.
+/// The limits of a configuration, by "TOPIC.FIELD". A configuration that cannot be read has none.
 std::map<std::string, std::vector<LimitSettings>> limits_of(const std::string& configuration,
                                                             const std::vector<RecordedTopic>& topics) {
   std::map<std::string, std::vector<LimitSettings>> limits;
@@ -59,7 +59,7 @@ std::map<std::string, std::vector<LimitSettings>> limits_of(const std::string& c
   return limits;
 }
 
-/// Numbers have curves, and what the course is made of is told there.
+/// Fields without a curve, except those that the course of the run shows.
 std::vector<std::string> fields_without_curve(const std::vector<RecordedTopic>& topics,
                                               const std::vector<LedgerEntry>& ledger) {
   std::set<std::string> names, fields;
@@ -74,7 +74,7 @@ std::vector<std::string> fields_without_curve(const std::vector<RecordedTopic>& 
 }
 
 ReportContent content_of(const Recording& recording, const RecordedRange& range) {
-  constexpr std::size_t columns = 740;  // of a day: 2 min each
+  constexpr std::size_t columns = 740;  // for a day: 2 min each
   ReportContent content;
   content.file = std::filesystem::path(recording.path()).filename().string();
   content.range = range;
@@ -105,7 +105,7 @@ ReportContent content_of(const Recording& recording, const RecordedRange& range)
   throw SetupError(system_error(error, "cannot write the report", file, "name another file: -o FILE"));
 }
 
-/// Nothing is left of a file that cannot be written whole.
+/// Removes a file that cannot be written completely.
 void write_file(const std::string& file, std::string_view text, ReportOptions::Existing existing) {
   std::error_code ignored;
   if (std::filesystem::is_regular_file(file, ignored)) {

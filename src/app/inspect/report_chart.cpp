@@ -13,7 +13,7 @@
 namespace rtdata::app {
 namespace {
 
-// Of a picture, in its own units. The curve has a viewport of its own: a column wide is 1, and 1000 high.
+// The sizes of a picture, in its own units. The curve has a separate viewport: a column is 1 wide, and 1000 high.
 constexpr double left = 76, width = 640, top = 4, height = 84;
 constexpr int inner = 1000, edge = 30;
 
@@ -26,7 +26,7 @@ std::string tenths(double value) {
   return made;
 }
 
-/// What a picture shows between its lower and its upper edge.
+/// The range of values between the lower and the upper edge of a picture.
 struct Range {
   std::optional<Number> low, high;
 
@@ -77,7 +77,7 @@ class Path {
   int y_ = 0;
 };
 
-/// Why and how much of a curve is missing, by reason.
+/// How much of a curve is missing, by reason.
 struct Missing {
   std::uint64_t gaps = 0, lost = 0;
 };
@@ -95,7 +95,7 @@ std::vector<double> values_of(const std::vector<LimitSettings>& limits) {
   return values;
 }
 
-/// Shades what is beyond the limits.
+/// Shades the areas beyond the limits.
 std::string bands_of(const std::vector<LimitSettings>& limits, const Range& range, std::size_t columns) {
   std::string text;
   const auto add = [&](const std::optional<double>& limit, bool is_high, const char* kind) {
@@ -119,7 +119,7 @@ std::string bands_of(const std::vector<LimitSettings>& limits, const Range& rang
 }  // namespace
 
 const char* ReportCharts::style() {
-  // What a picture has from the first matches no selector with an element outside.
+  // Elements that a picture reuses from the first one match no selector with an element outside.
   return "svg{display:block;width:100%;height:auto;font:9px sans-serif}"
          "svg svg{overflow:hidden}"
          "path{fill:none;vector-effect:non-scaling-stroke;stroke-linejoin:round;stroke-linecap:round}"
@@ -177,7 +177,7 @@ double ReportCharts::x_of(Time time) const {
   return left + width * static_cast<double>((time - plot_.from).count()) / all;
 }
 
-/// Columns beside each other for the same reason are one shade.
+/// Neighbouring columns with the same reason are one shade.
 std::string ReportCharts::gaps_of(const Curve& curve) {
   if (curve.gaps.empty()) return "";
   const auto [known, is_new] = gaps_.try_emplace({curve.topic, curve.origin}, gaps_.size());
@@ -242,7 +242,7 @@ std::string ReportCharts::chart_of(const Curve& curve, const std::vector<LimitSe
     if (!is_line) all.close();
     for (std::size_t i = 0; i < part.size(); ++i) {
       const CurveStep& step = *part[i];
-      // Without a mean, of infinities, the middle of what is there.
+      // If there is no finite mean, draws the middle between least and most.
       const bool has_mean = std::isfinite(step.mean) && scale.least && *range.low != *range.high;
       const double low = scale.least ? as_double(*range.low) : 0, high = scale.least ? as_double(*range.high) : 0;
       const int y = step.least == step.most ? range.y_of(step.least)

@@ -13,15 +13,15 @@
 
 namespace rtdata::app {
 
-/// What happened at an instant: a thin line in every picture.
+/// An event at an instant: a thin line in every picture.
 struct ChartMark {
   Time at{};               ///< UTC
-  std::size_t number = 0;  ///< in the list of the page; 0: without
+  std::size_t number = 0;  ///< in the list of the page; 0: none
   const char* kind = "";   ///< "note", "command", "alarm", "state": the class of its line
 };
 
-/// A picture for each curve of a plot, above an axis of time in UTC: all from the least to the most of each step
-/// filled, the mean as a line, gaps and limits shaded. What the pictures have in common is only in the first.
+/// A picture for each curve of a plot, above a time axis in UTC: the range of each step filled, the mean as a line,
+/// gaps and limits shaded. Common elements are only in the first picture.
 class ReportCharts {
  public:
   ReportCharts(const Plot& plot, const std::vector<ChartMark>& marks);

@@ -51,7 +51,7 @@ constexpr Duration fine = std::chrono::milliseconds{1};  // enough for a list
 
 std::string instant(Time utc, Duration step) { return date_text(utc) + " " + clock_text(utc, step); }
 
-/// "30 ms", "39 min"; of none, nothing.
+/// "30 ms", "39 min"; empty for 0.
 std::string time_text(Duration time) {
   if (time == Duration{0}) return "";
   return time < std::chrono::seconds{1} ? to_string(two_digits(time)) : span_text(time);
@@ -124,7 +124,7 @@ class Page {
   void left_out(std::uint64_t all, std::size_t shown, const char* where) {
     if (all > shown) add("<p class=\"small\">", std::to_string(all - shown), " left out", where, "</p>\n");
   }
-  /// A row of each, with `row`, up to most_rows; `where` tells of what is left out.
+  /// A row for each item, with `row`, up to most_rows; `where` says where the omitted ones are.
   template <class Items, class Row>
   void table(const char* headings, const Items& items, const char* where, const Row& row) {
     add("<table>\n<thead><tr>", headings, "</tr></thead>\n");
@@ -137,7 +137,7 @@ class Page {
     left_out(items.size(), most_rows, where);
   }
   Time utc(Time recorded) const { return run_.line.utc(recorded); }
-  /// With its date, where that is another than the one of the beginning.
+  /// With its date, if that differs from the date of the beginning.
   std::string listed_time(Time time) const { return instant_text(time, content_.range.from, fine); }
   Duration length() const { return content_.range.until - content_.range.from; }
   std::string verify_command() const {
@@ -324,8 +324,8 @@ class Page {
     for (std::size_t i = 0; i < happenings_.size(); ++i)
       marks.push_back({happenings_[i].at, i < most_numbers ? i + 1 : 0, happenings_[i].kind});
     ReportCharts charts(content_.plot, marks);
-    add("<p class=\"small\">A line is the mean of each ", to_string(content_.plot.step),
-        ", and the area about it all from the least to the most. Red: nothing is there.");
+    add("<p class=\"small\">A line shows the mean of each ", to_string(content_.plot.step),
+        ", and the area around it the range from least to most. Red: data is missing.");
     if (!content_.limits.empty()) add(" Orange and red from a dashed line on: beyond a limit.");
     if (!marks.empty()) add(" Dotted lines and their numbers: what happened, see the list below.");
     if (content_.plot.read_step >= std::chrono::seconds{1})
@@ -355,11 +355,11 @@ class Page {
     for (std::size_t i = 0; i < content_.not_drawn.size() && i < most; ++i)
       names += (i == 0 ? "" : ", ") + content_.not_drawn[i];
     if (content_.not_drawn.size() > most) names += " and " + std::to_string(content_.not_drawn.size() - most) + " more";
-    add("<p class=\"small\">Without a curve, because these fields are no numbers: ", Raw{html_text(names, whole)},
+    add("<p class=\"small\">Without a curve, because these fields are not numbers: ", Raw{html_text(names, whole)},
         ".</p>\n");
   }
 
-  // ---- the rest
+  // ---- other sections
 
   void sensors() {
     heading("Who measured");

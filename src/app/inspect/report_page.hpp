@@ -18,7 +18,7 @@ struct ReportContent {
   VerifyReport report;  ///< of one run
   RecordedRange range;  ///< all of it
   Plot plot;
-  std::vector<std::string> not_drawn;                        ///< fields that are no numbers, with their types
+  std::vector<std::string> not_drawn;                        ///< fields that are not numbers, with their types
   std::map<std::string, std::vector<LimitSettings>> limits;  ///< by "TOPIC.FIELD", as first configured
   Course course;
   std::vector<LedgerEntry> ledger;
@@ -30,8 +30,8 @@ struct ReportContent {
   Time made{};  ///< when the page is made
 };
 
-/// One file of HTML that needs no other, for screens and A4. Texts of the recording are text in it, whatever they hold;
-/// lists are bounded, and say how much they leave out.
+/// One file of HTML that needs no other file, for screens and A4. Texts of the recording are always escaped; lists have
+/// limits, and say how much they omit.
 std::string page_of(const ReportContent& content);
 
 }  // namespace rtdata::app

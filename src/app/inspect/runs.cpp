@@ -1,4 +1,4 @@
-// rtdata runs: the runs of a recording, a line each.
+// rtdata runs: the runs of a recording, one line each.
 #include "rtdata/recording/runs.hpp"
 
 #include <algorithm>
@@ -18,7 +18,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::size_t columns = 80;
 
-/// Of a run that goes on or was not sealed, the file does not have the end yet.
+/// The end of a running or unsealed run is not in the file yet.
 std::optional<Time> end_of(const RunReport& run) {
   if (!run.info.ended || run.info.state == RunState::recording) return std::nullopt;
   return run.line.utc(*run.info.ended);
@@ -54,7 +54,7 @@ void print(const VerifyReport& report, std::ostream& out) {
   const std::vector<std::string> heading{">run", "name", "started (UTC)", ">length", ">rows", "verdict", "notes"};
   for (std::size_t i : {0u, 2u, 3u, 4u, 5u})
     others += std::max(widest[i], heading[i].size() - (heading[i].front() == '>' ? 1 : 0)) + 2;
-  // Names and notes share what is left.
+  // Names and notes share the remaining width.
   constexpr std::size_t least = 8;
   const std::size_t left = columns - std::min(columns, others);
   notes = widest[6] == 0 ? 0 : std::max(widest[6], heading[6].size());

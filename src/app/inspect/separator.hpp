@@ -5,7 +5,7 @@
 
 namespace rtdata::app {
 
-/// A character, or "tab"; 0: it is neither.
+/// Reads a character, or "tab"; 0: neither.
 inline char separator_of(const std::string& said) {
   if (said == "tab" || said == "\\t") return '\t';
   return said.size() == 1 ? said[0] : '\0';

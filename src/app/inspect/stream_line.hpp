@@ -7,13 +7,13 @@
 
 namespace rtdata::app {
 
-/// Empty: there is no such text.
+/// Empty: there is no text of this key.
 inline std::string text_in(const nlohmann::ordered_json& object, const char* key) {
   const auto found = object.find(key);
   return found != object.end() && found->is_string() ? found->get<std::string>() : std::string();
 }
 
-/// 0: there is no such number.
+/// 0: there is no number of this key.
 inline std::int64_t whole_in(const nlohmann::ordered_json& object, const char* key) {
   const auto found = object.find(key);
   return found != object.end() && found->is_number() ? found->get<std::int64_t>() : 0;

@@ -54,7 +54,7 @@ int follow(ControlClient& client, pid_t pid, ShowAs show_as) {
   return exit_good;  // nobody reads what it prints
 }
 
-/// Who mistypes a topic would wait for ever.
+/// Warns of a topic without events: with a mistyped topic the user would wait for ever.
 void tell_unknown(const std::vector<std::string>& topics, const Status& status) {
   std::vector<std::string> names;
   for (const Status::Account& topic : status.topics) names.push_back(topic.name);

@@ -1,4 +1,4 @@
-// rtdata tail DB: what was recorded, in the lines of JSON that docs/subscribe.md describes, or as people read them.
+// rtdata tail DB: recorded events, as the lines of JSON in docs/subscribe.md, or as readable text.
 #include <algorithm>
 #include <cmath>
 #include <deque>
@@ -59,7 +59,7 @@ Line line_of_health(const RecordedHealth& change, const UtcLine& utc) {
                {{"kind", change.kind}, {"name", change.name}, {"state", change.state}, {"reason", change.reason}}}})};
 }
 
-/// As the codec of JSON writes numbers.
+/// Writes a number like the JSON codec.
 Json json_of(const Value& value) {
   return std::visit(
       [](const auto& held) -> Json {
@@ -101,7 +101,7 @@ std::string json_of_step(const RecordedRow& row, Duration length) {
                  {"data", std::move(data)}});
 }
 
-/// What is shown of one run, in order of time.
+/// The shown events of one run, in time order.
 class Content {
  public:
   Content(const Recording& recording, const RecordedTailOptions& options, const RecordedRange& range)
@@ -109,7 +109,8 @@ class Content {
     if (!options.step.empty()) {
       step_ = parse_duration(options.step).or_throw();
       if (step_ <= Duration{0})
-        throw SetupError({Errc::bad_argument, "cannot show", "--step " + options.step, "it is not above 0", "as 1s"});
+        throw SetupError(
+            {Errc::bad_argument, "cannot show", "--step " + options.step, "it is not above 0", "write one such as 1s"});
     }
     std::set<std::string> topics, alarms;
     for (const RecordedTopic& topic : recording.topics().or_throw()) {
@@ -185,7 +186,7 @@ class Content {
       return;
     const std::string nearest = nearest_name(pattern, {topics.begin(), topics.end()});
     throw SetupError({Errc::not_found, "cannot show", "topic " + pattern, recording_.path() + " has none",
-                      nearest.empty() ? "there is " + list_of(topics) : "did you mean " + nearest + "?"});
+                      nearest.empty() ? "available: " + list_of(topics) : "did you mean " + nearest + "?"});
   }
 
   bool takes(const std::string& topic, std::size_t before) const {
@@ -194,7 +195,7 @@ class Content {
   }
   bool takes(const std::string& topic) const { return takes(topic, patterns_.size()); }
 
-  /// A row that no pattern before has.
+  /// Goes to the next row that no earlier pattern matches.
   void next(std::vector<Source>& sources, std::size_t which) const {
     Source& source = sources[which];
     do source.row = source.rows.next().or_throw();
@@ -246,7 +247,7 @@ class Output {
   std::map<std::string, std::string> units_;  // by topic; those that were not printed yet
 };
 
-/// The newest lines: looked for in a part of the run, then in larger ones.
+/// The newest lines: searches a part of the run first, then larger parts.
 void print_newest(const Content& content, const RecordedRange& range, std::size_t most, Output& print) {
   std::deque<Line> newest;
   const Duration all = range.until - range.from;

@@ -106,8 +106,8 @@ void print_lines(const Registry& registry) {
     for (const TypeInfo& type : types) std::cout << line_of(type);
     std::cout << "\n";
   }
-  std::cout << "rtdata types NAME has the parameters of one; NAME may be a chip or a word too:\n"
-               "bme280, pt100, button, csv. rtdata types --all has all parameters."
+  std::cout << "rtdata types NAME shows the parameters of one; NAME may also be a chip or a word:\n"
+               "bme280, pt100, button, csv. rtdata types --all shows all parameters."
             << std::endl;
 }
 
@@ -127,7 +127,7 @@ bool print_types_for(const std::string& word, const Registry& registry) {
   } else if (!found.empty()) {
     std::cout << "types for " << word << "\n";
     for (const TypeInfo& type : found) std::cout << line_of(type);
-    std::cout << "\nrtdata types NAME has the parameters of one." << std::endl;
+    std::cout << "\nrtdata types NAME shows the parameters of one." << std::endl;
   }
   return !found.empty();
 }

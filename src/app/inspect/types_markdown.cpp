@@ -75,7 +75,7 @@ void add_rows(const Parameters& parameters, const std::string& prefix, std::stri
   }
 }
 
-/// Where `rtdata scan` looks for the chips of a driver; empty: nowhere.
+/// A table: how `rtdata scan` finds the chips of a driver; empty: it does not.
 std::string chips_table(std::span<const KnownChip> chips) {
   std::string rows;
   for (const KnownChip& chip : chips) {
@@ -99,7 +99,7 @@ std::string chips_table(std::span<const KnownChip> chips) {
                       : "\n| chip | `model` | `rtdata scan` looks at | knows it by |\n|---|---|---|---|\n" + rows;
 }
 
-/// What the chip gives in tests, and what that means.
+/// The data of the chip in tests, and the values decoded from it.
 std::string sample_text(const ChipSample& sample) {
   std::string given, values;
   for (const ChipBytes& one : sample.bytes) {

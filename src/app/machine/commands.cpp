@@ -1,4 +1,4 @@
-// `rtdata scan` and `rtdata doctor`: what they print.
+// The output of `rtdata scan` and `rtdata doctor`.
 #include <unistd.h>
 
 #include <algorithm>
@@ -15,7 +15,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-/// What files hold need not be UTF-8.
+/// The content of files need not be UTF-8.
 std::string text_of(const Json& json) { return json.dump(2, ' ', false, Json::error_handler_t::replace); }
 
 bool is_folder_there(const std::string& root) {
@@ -49,7 +49,7 @@ void print(const Scan& scan) {
                 << printable(device.advice) << "\n";
     for (const FoundDevice::Line& line : device.lines) std::cout << "    " << line.list << ": " << line.text << "\n";
   }
-  if (scan.devices.empty()) std::cout << "no device was found that could be measured with\n";
+  if (scan.devices.empty()) std::cout << "no device for measuring was found\n";
   if (!scan.hints.empty()) std::cout << "\n";
   for (const ScanHint& hint : scan.hints) std::cout << hint.kind << ": " << hint.text << "\n";
   const bool has_lines = std::any_of(scan.devices.begin(), scan.devices.end(),
@@ -66,7 +66,7 @@ const char* name_of(Severity severity) {
   return names[static_cast<std::size_t>(severity)];
 }
 
-/// The worst first. `plan`: of the configuration that is to run here; null: none.
+/// The worst first. `plan`: of the configuration for this machine; null: none.
 std::vector<Finding> examine(const MachineFiles& files, const SystemPlan* plan) {
   std::vector<Finding> all;
   const auto append = [&](std::vector<Finding> more) {

@@ -18,7 +18,7 @@ namespace {
 using config_detail::text_or_empty;
 using Found = std::optional<Finding>;
 
-constexpr const char* no_data = "this part has no data until that is mended";
+constexpr const char* no_data = "this part has no data until this is fixed";
 constexpr const char* begins_as_failed = "the output begins as failed, and is tried each second";
 /// A line or a channel is opened when the part is made.
 constexpr const char* no_start = "the run does not start";
@@ -65,7 +65,7 @@ Finding examine_device(const MachineFiles& files, const PartPlan& part, const st
                                                                                          : "";
   if (holder.empty()) return well(part, device + " can be used");
   return {Severity::warning, part.object(), device + ": " + holder + " has it open",
-          part.kind == "output" ? no_start : two_at_a_port, "end that first"};
+          part.kind == "output" ? no_start : two_at_a_port, "end that program first"};
 }
 
 /// Checks for a chip on I2C that a kernel driver has. Other chips can only be checked by talking to them.
@@ -152,7 +152,7 @@ Finding examine_pwm(const MachineFiles& files, const PartPlan& part) {
   const auto count = files.text(chip + "/npwm");
   if (!count)
     return missing(part, "there is no PWM chip " + chip,
-                   "on a Raspberry Pi a line `dtoverlay=pwm-2chan` in /boot/firmware/config.txt, then reboot");
+                   "on a Raspberry Pi, add the line `dtoverlay=pwm-2chan` to /boot/firmware/config.txt, then reboot");
   std::int64_t channels = 0;
   std::from_chars(count->data(), count->data() + count->size(), channels);
   if (channel >= channels)

@@ -38,13 +38,13 @@ using enum Severity;
 constexpr const char* limits_advice =
     "in /etc/security/limits.d/99-rtdata.conf: `@realtime - rtprio 99` and `@realtime - memlock unlimited`, join the "
     "group, log in again; in a systemd unit: LimitRTPRIO=99, LimitMEMLOCK=infinity";
-constexpr const char* lock_advice = "`lock_memory` of a tier locks all of the program's";
+constexpr const char* lock_advice = "set `lock_memory` of a tier: it locks all memory of the program";
 constexpr const char* waking = "waking up takes 10 to 300 us";
 constexpr const char* supply_cost = "the board is slowed down, and may lose data or its SD card";
-constexpr const char* supply_advice = "a supply for 5.1 V and 3 A (Raspberry Pi 5: 5 A), and a short cable";
-constexpr const char* see_supply = "see the supply and the temperature";
+constexpr const char* supply_advice = "use a 5.1 V, 3 A supply (Raspberry Pi 5: 5 A) and a short cable";
+constexpr const char* see_supply = "check the supply and the temperature";
 constexpr const char* are_slow = "the processors are slow";
-constexpr const char* good_state = "vcgencmd get_throttled: 0x0 is good";
+constexpr const char* good_state = "run `vcgencmd get_throttled`: 0x0 is good";
 
 constexpr Rule timing_rules[] = {
     {"kernel", "kernel", "PREEMPT_RT", good, "{}"},
@@ -52,7 +52,7 @@ constexpr Rule timing_rules[] = {
      "on Debian: sudo apt install linux-image-rt-$(dpkg --print-architecture)"},
     {"real-time priorities", "priority", "enough", good, "this user may use real-time priorities"},
     {"real-time priorities", "priority", "*", note, "this user may {}",
-     "tiers with a real-time policy run without it, behind whatever else runs", limits_advice, "needs priority"},
+     "tiers with a real-time policy run without it, and other programs delay them", limits_advice, "needs priority"},
     {"real-time priorities", "priority in files", "", note, "no limits file gives real-time priorities to a user",
      "tiers with a real-time policy run without it unless they are root's or a service's", limits_advice,
      "needs priority"},
@@ -73,23 +73,24 @@ constexpr Rule processor_rules[] = {
      "sudo cpupower frequency-set -g performance"},
     {"idle states", "idle", "|none", good, "the kernel knows of no deep idle states"},
     {"idle states", "idle", "*", note, "processors sleep when idle ({})", waking,
-     "`keep_cpu_awake` of a tier keeps them from it while it runs, for more power"},
+     "set `keep_cpu_awake` of a tier: processors then stay awake while it runs, and use more power"},
     {"idle states", "idle for all", "*", note, "processors sleep when idle ({})", waking,
      "/dev/cpu_dma_latency cannot be written by this user: allow it by a udev rule, then set `keep_cpu_awake` of a "
      "tier",
      "needs awake"},
     {"real-time share", "real-time share", "*", note, "real-time threads get {} if others want the rest",
-     "matters to those that spin", "sudo sysctl kernel.sched_rt_runtime_us=-1"},
+     "tiers with `spin` are interrupted", "sudo sysctl kernel.sched_rt_runtime_us=-1"},
     {"timer slack", "timer slack", "*", note, "{} ns",
-     "the parent process lets its timers be that late; loops and tiers set their own", "`timer_slack` of a tier"},
+     "the parent process allows its timers to be this late; loops and tiers set their own",
+     "set `timer_slack` of a tier"},
     {"power", "unreadable state", "*", warning, "the firmware's state cannot be read: \"{}\"",
      "it is not known whether the supply is too weak", good_state},
     // The bits of vcgencmd get_throttled.
     {"power", "throttled 0", "*", warning, "the supply's voltage was too low {}", supply_cost, supply_advice},
     {"power", "throttled 1", "*", warning, "the frequency was limited {}", are_slow, see_supply},
     {"power", "throttled 2", "*", warning, "the processors were throttled {}", are_slow, see_supply},
-    {"power", "throttled 3", "*", warning, "the limit of the temperature was reached {}", are_slow,
-     "a heat sink or a fan"},
+    {"power", "throttled 3", "*", warning, "the temperature limit was reached {}", are_slow,
+     "add a heat sink or a fan"},
     {"power", "never throttled", "*", good, "no low voltage and no throttling since the start"},
     {"power", "voltage alarm", "0", good, "the supply's voltage is not too low"},
     {"power", "voltage alarm", "1", warning, "the supply's voltage is or was too low", supply_cost, supply_advice},
@@ -102,22 +103,22 @@ constexpr const char* clock_source = "/sys/devices/system/clocksource/clocksourc
 constexpr Rule clock_rules[] = {
     {"clock source", clock_source, "hpet|acpi_pm|jiffies|refined-jiffies|pit", warning, "{}",
      "reading the time takes a microsecond and more",
-     "there are: {/sys/devices/system/clocksource/clocksource0/available_clocksource}; the boot option clocksource= "
+     "available: {/sys/devices/system/clocksource/clocksource0/available_clocksource}; the boot option clocksource= "
      "chooses"},
     {"clock source", clock_source, "*", good, "{}"},
     {"clock", "clock", "", warning, "nothing synchronises the clock, as far as the kernel knows",
-     "UTC of a recording is as wrong as the clock; times between events are right all the same",
+     "UTC of a recording is as wrong as the clock; times between events are right nevertheless",
      "sudo apt install chrony; without a network, a GPS receiver gives the time (docs/gps.md)"},
     {"clock", "clock", "*", good, "synchronised{}"},
     {"time", "bits", "32*", warning, "this program counts seconds in 32 bits",
      "times of files and logs go wrong in January 2038; those of recordings do not",
      "compile it with -D_TIME_BITS=64, or use a system of 64 bits"},
     {"time", "bits", "64 of 32", note, "this system has 32 bits, this program counts seconds in 64",
-     "other programs may go wrong in January 2038", "a system of 64 bits"},
+     "other programs may go wrong in January 2038", "use a system of 64 bits"},
     {"time", "bits", "*", good, "seconds are counted in 64 bits"},
     {"hardware clock", "no hardware clock", "*", note, "there is none",
      "the machine starts with a time in the past until something synchronises it",
-     "a clock chip with a battery (DS3231), or a network or GPS at the start"},
+     "add a clock chip with a battery (DS3231), or use a network or GPS at the start"},
 };
 
 constexpr Rule disk_rules[] = {
@@ -128,16 +129,16 @@ constexpr Rule disk_rules[] = {
     {"disk", "type", "nfs*|cifs|smb3|fuse.*", warning, "it is on a network, or served by a program ({})",
      "writes wait for it, and locks of SQLite may not hold", "record onto a local disk, and copy afterwards"},
     {"disk", "type", "vfat|exfat|msdos", warning, "its file system has no journal ({})",
-     "a power failure can damage all of it", "a disk with ext4 for recordings"},
+     "a power failure can damage all of it", "use a disk with ext4 for recordings"},
     {"disk", "card", "*", note, "it is an SD card or eMMC", "writes wear it out",
-     "`\"profile\": \"card\"` of a recording writes less often"},
+     "set `\"profile\": \"card\"` of a recording: it writes less often"},
     {"disk", "full", "*", warning, "{} MB are free", "recording stops within minutes", "make room", "needs disk"},
     {"disk", "nearly full", "*", warning, "{} MB are free", "the disk is full soon",
      "make room, or limit recordings by `max_bytes`"},
     {"disk", "unwritable", "*", warning, "nothing can be written: {}", "nothing can be recorded",
      "`ls -ld` shows who may write there", "needs disk"},
     {"disk", "slow", "*", warning, "a small write takes {} ms until it is on the disk",
-     "commits queue up behind each other", "a larger `latency` of the recording, or another disk"},
+     "commits queue up behind each other", "set a longer `batch_time` of the recording, or use another disk"},
 };
 
 bool fits(std::string_view values, std::string_view fact) {
@@ -225,7 +226,7 @@ void add_processors(const MachineFiles& files, Facts& facts) {
   if (slack > 50'000) facts["timer slack"] = std::to_string(slack);
 }
 
-/// Of a Raspberry Pi.
+/// Adds the facts of a Raspberry Pi.
 void add_power(const MachineFiles& files, Facts& facts) {
   if (const auto state = files.text("/sys/devices/platform/soc/soc:firmware/get_throttled")) {
     const std::optional<long> bits = number_in(*state, 16);
@@ -286,7 +287,8 @@ void examine_tiers(const MachineFiles& files, const SystemPlan& plan, std::vecto
       found.push_back(
           {warning, "tier " + name,
            "this machine does not have the processors " + detail::listed(missing) + ", or the program may not use them",
-           "the tier runs on other processors, beside all else", "set `cpu` or `cpus` to processors that there are"});
+           "the tier runs on other processors, beside all other programs",
+           "set `cpu` or `cpus` to processors that this machine has"});
   }
 }
 

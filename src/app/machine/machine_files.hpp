@@ -27,7 +27,7 @@ class MachineFiles {
   /// Names in a folder, sorted, numbers in them by their value: "i2c-2" before "i2c-10".
   /// `prefix`: those that begin so.
   std::vector<std::string> names(const std::string& folder, std::string_view prefix = {}) const;
-  /// The last part of what a link points to: "ttyUSB0" of "../../ttyUSB0"; empty: it is no link.
+  /// The last part of what a link points to: "ttyUSB0" of "../../ttyUSB0"; empty: it is not a link.
   std::string link_name(const std::string& link) const;
 
  private:

@@ -1,4 +1,4 @@
-// I2C adapters, and the chips at their addresses: those that a driver states, and others that are often there.
+// Finds I2C adapters and names the chips at their addresses: chips that a driver supports, and other common ones.
 #include <unistd.h>
 
 #include <algorithm>
@@ -42,7 +42,7 @@ constexpr Usual usual[] = {
     {0x70, 0x71, "a multiplexer (TCA9548A)"},
 };
 
-/// How sure it is that a chip is the one that a driver knows.
+/// How certain it is that a chip is the one that a driver knows.
 enum class Match { no, perhaps, yes };
 Match match_of(const KnownChip& known, I2cDevice& chip) {
   if (!known.is_at(chip.address().number)) return Match::no;

@@ -22,13 +22,13 @@ void serial_port(Scanner& scanner, const std::string& path, const std::string& t
   if (scanner.files.is_this_machine()) {
     if (const std::string holder = detail::holder_of(path); !holder.empty()) {
       found.obstacle = holder + " has it open";
-      found.advice = std::string("end that first: ") + two_at_a_port;
+      found.advice = std::string("end that program first: ") + two_at_a_port;
     }
   }
   if (scanner.text("/proc/cmdline").find("console=" + tty) != std::string::npos && found.obstacle.empty()) {
     found.obstacle = "the kernel writes its messages to it, and a login may wait there";
     const std::string enabling = detail::how_to_enable("/dev/" + tty);
-    found.advice = "take `console=" + tty + "` out of the kernel's command line" +
+    found.advice = "remove `console=" + tty + "` from the kernel's command line" +
                    (enabling.empty() ? "" : "; " + enabling);
   }
   scanner.sensor(found, tty, "serial",

@@ -33,22 +33,22 @@ class Scanner {
   /// The same for a sensor, with a unique name similar to `name`. `members`: its keys after name and type, in JSON.
   void sensor(FoundDevice& device, const std::string& name, const std::string& type, const std::string& members = {},
               const std::string& bus = {});
-  /// The file's text, for people: at most 80 characters, none of them a control character.
+  /// The file's text for display: at most 80 characters, without control characters.
   std::string text(const std::string& file) const;
 
  private:
   std::set<std::string> names_;
 };
 
-/// What answers at an address of an I2C bus, and the sensors of a configuration that read it.
+/// A chip at an address of an I2C bus, and the sensors of a configuration that read it.
 struct LikelyChip {
   struct Driver {
-    std::string type, model;  ///< no model: the driver has none, or its default
+    std::string type, model;  ///< empty model: the driver has none, or the default one
   };
   std::string what;  ///< "BMP280", "perhaps INA219, INA226"
   std::vector<Driver> drivers = {};
 };
-/// Looks for it among the chips of all drivers, by its identity and address, and among others that are often there.
+/// Searches for it among the chips of all drivers, by its identity and address, and among other common ones.
 LikelyChip likely_chip(I2cDevice& chip, const Registry& registry);
 
 /// As a JSON string.

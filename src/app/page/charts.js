@@ -88,7 +88,7 @@ const Charts = (() => {
         const close = entry.appendChild(document.createElement("button"));
         close.type = "button";
         close.textContent = "×";
-        close.setAttribute("aria-label", "Take " + field.topic + "." + field.path + " out of the chart");
+        close.setAttribute("aria-label", "Remove " + field.topic + "." + field.path + " from the chart");
         close.onclick = () => toggle(field.topic, field.path);
       });
       if (this.dygraph) this.dygraph.destroy();
@@ -147,7 +147,7 @@ const Charts = (() => {
         this.fields.forEach((field, i) => { field.past = points[i]; });
         this.pastStep = step;
         this.draw();
-        tell(answer.reached > from ? "reading what was before " + timeText(answer.reached) : "", "");
+        tell(answer.reached > from ? "reading the values before " + timeText(answer.reached) : "", "");
         if (answer.reached <= from || answer.reached >= until) return;
         until = answer.reached;
       }

@@ -1,4 +1,4 @@
-// What a page has read of disks, off its loop.
+// Reads disks for a page, off its loop.
 #pragma once
 
 #include <exception>
@@ -13,8 +13,8 @@
 
 namespace rtdata::app {
 
-/// Runs what blocks on a lane of its own, and tells its text on the loop, or why there is none; once it is gone it
-/// tells nothing. Owner: the holder. Thread: the loop's.
+/// Runs blocking work on its own lane, and passes the resulting text, or the error, to the loop. After its destruction
+/// it passes nothing. Owner: the holder. Thread: the loop's.
 class DiskWork {
  public:
   DiskWork(Loop& loop, std::string name) : lane_(loop.core(), std::move(name), std::chrono::seconds{30}) {}

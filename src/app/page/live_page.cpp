@@ -30,7 +30,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr std::uint64_t status_client = ~std::uint64_t{0};  // clients of the control socket count from 1
-constexpr Duration step = std::chrono::milliseconds{250};   // of what is shown as it comes
+constexpr Duration step = std::chrono::milliseconds{250};   // of live events
 constexpr Duration stream_pace = std::chrono::milliseconds{50};
 constexpr Duration machine_pace = std::chrono::seconds{2};  // of the disk and the clock
 constexpr Duration thread_patience = std::chrono::seconds{2};
@@ -45,7 +45,7 @@ std::string content_of(const std::string& path) {
 
 }  // namespace
 
-/// What depends on the configuration.
+/// The data that depends on the configuration.
 struct LivePage::Setup {
   std::string about;
   std::vector<std::string> changes;  // topics
@@ -53,7 +53,7 @@ struct LivePage::Setup {
   std::vector<std::string> commands;
 };
 
-/// What the main loop and the thread have of each other: the one may be late with its end.
+/// The data shared by the main loop and the thread, either of which may end later.
 struct LivePage::Shared {
   Mailbox<LivePage> main;
   Mailbox<Source> page;
@@ -64,7 +64,7 @@ class LivePage::Source final : public PageSource {
  public:
   Source(Loop& loop, std::shared_ptr<Shared> shared, Duration to_time, Setup setup)
       : loop_(loop), shared_(std::move(shared)), to_time_(to_time), setup_(std::move(setup)), disk_(loop, "page") {}
-  /// From now on it gets what the main loop puts.
+  /// From now on it gets the functions of the main loop.
   void open(PageServer& server) {
     server_ = &server;
     from_main_ = shared_->page.open(loop_, *this);
@@ -81,7 +81,7 @@ class LivePage::Source final : public PageSource {
   }
   void lines(const std::function<void(std::string_view)>& take) override {
     for (Stream* one : {&steps_, &changes_})
-      if (!one->read(take) && loop_.now() - one->opened_at > std::chrono::seconds{1}) {  // none of it is there now
+      if (!one->read(take) && loop_.now() - one->opened_at > std::chrono::seconds{1}) {  // the stream is not there
         end();
         begin();
         break;
@@ -191,7 +191,7 @@ class LivePage::Source final : public PageSource {
     told(std::move(text));
   }
 
-  /// What is left of the disks, and how well UTC is known.
+  /// The free space of the disks, and the accuracy of UTC.
   void look_at_machine() {
     if (is_looking_ || loop_.now() - looked_at_ < machine_pace) return;
     is_looking_ = true;
@@ -311,7 +311,7 @@ LivePage::~LivePage() {
   if (ended_.wait_for(thread_patience) == std::future_status::ready) {
     thread_.join();
   } else {
-    thread_.detach();  // it has not got the processor; it touches what it shares, and nothing else
+    thread_.detach();  // the thread did not get the processor; it touches only shared data
   }
 }
 

@@ -15,8 +15,8 @@
 
 namespace rtdata::app {
 
-/// Neither side waits for the other, and either may be gone: what was put then is destroyed with the mailbox, which
-/// both share. A function must not own its mailbox.
+/// Neither side waits for the other, and either may be gone: functions put after that are destroyed with the mailbox,
+/// which both share. A function must not own its mailbox.
 template <class To>
 class Mailbox {
  public:
@@ -41,7 +41,7 @@ class Mailbox {
     [[maybe_unused]] const ssize_t size = ::write(fd_, &one, sizeof one);  // full: it is readable already
   }
 
-  /// As long as the watch is there, `to` gets the functions on this loop, in the order in which they were put.
+  /// As long as the watch lives, this loop calls the functions, in the order in which they were put.
   FdWatch open(Loop& loop, To& to) {
     return {loop, fd_, FdWatch::readable, "page", [this, &to](const FdEvent&) { take(to); }};
   }

@@ -85,7 +85,7 @@
     }
   }
 
-  // The end of what there is: now, or that of a recording at rest.
+  // The end of the data: now, or the end of a recording that is not running.
   const end = () => (isRecording ? Server.now() : about.run && about.run.ended);
 
   // The last minute from the recording; what came live stays.
@@ -260,13 +260,13 @@
   function drawTop() {
     const silence = Server.silence(), isSilent = silence > 2000;
     $("top").classList.toggle("silent", isSilent);
-    const said = !isTold ? "connecting" : isSilent ? "nothing heard for " + seconds(silence) : isRecording ? "live" : "recording at rest";
+    const said = !isTold ? "connecting" : isSilent ? "no data for " + seconds(silence) : isRecording ? "live" : "recording (not running)";
     if ($("connection").textContent !== said) $("connection").textContent = said;
     $("left-out").textContent = leftOut ? leftOut + " parts of the stream left out" : "";
     const now = Server.now();
     if (now !== undefined) {
       const known = Server.accuracy();
-      $("utc").textContent = Charts.timeText(now).slice(0, 19) + " UTC " + (known === null ? "(how exact is not known)" : "± " + (known * 1000).toPrecision(2) + " ms");
+      $("utc").textContent = Charts.timeText(now).slice(0, 19) + " UTC " + (known === null ? "(accuracy not known)" : "± " + (known * 1000).toPrecision(2) + " ms");
     }
     if (!status) return;
     $("name").textContent = status.instance.name;
@@ -507,7 +507,7 @@
     Charts.fillAll();
   });
   Server.on("ended", () => { $("connection").textContent = "the run has ended"; });
-  Server.on("refused", (why) => { $("ask-token").hidden = false; $("token-error").textContent = why; $("token").focus(); $("connection").textContent = "not let in"; });
+  Server.on("refused", (why) => { $("ask-token").hidden = false; $("token-error").textContent = why; $("token").focus(); $("connection").textContent = "no access"; });
   Server.on("turn", () => {
     if (!hasSparks && status && end() !== undefined) { hasSparks = true; fillSparks(); }
     openCharts(); Charts.turn();
@@ -585,5 +585,5 @@
   setRange();
   setInterval(() => { drawTop(); if (!document.hidden) drawValues(); }, 500);
   if (Server.hasToken()) Server.run();
-  else { $("ask-token").hidden = false; $("connection").textContent = "not let in"; }
+  else { $("ask-token").hidden = false; $("connection").textContent = "no access"; }
 })();

@@ -1,4 +1,4 @@
-// What a browser gets of the page itself; its text is made a part of the program when that is built.
+// The files of the page for browsers; the build makes their text a part of the program.
 #pragma once
 
 #include <span>

@@ -45,7 +45,7 @@ Time whole_steps(Time time, Duration step, bool up) {
 }
 
 Request request_of(std::string_view text) {
-  // Of ms: what is computed from these times fits into 64 bits of ns.
+  // In ms: values computed from these times fit into 64 bits of ns.
   constexpr double latest = 9.1e12, longest = 3.2e12, longest_step = 1e11;
   const Json given = Json::parse(text, nullptr, false);
   const auto topics = given.is_object() ? given.find("topics") : given.end();
@@ -84,7 +84,7 @@ std::string error_text(std::string_view why) {
   return Json{{"error", why}}.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-/// As the texts of JSON: a step without a number breaks the curve, and JSON has none of what is not finite.
+/// As JSON text. A step without a number breaks the curve; JSON has no infinities and no NaN.
 void append_value(std::string& to, const Value& value) {
   std::visit(
       [&to](const auto& held) {
@@ -101,7 +101,7 @@ void append_value(std::string& to, const Value& value) {
       value);
 }
 
-/// The curve of a field: numbers, each with a comma behind it. `later` has what was read before.
+/// The curve of a field: numbers, each followed by a comma. `later` has the numbers read before.
 struct Series {
   std::string unit;
   struct Column {
@@ -119,7 +119,7 @@ struct Span {
 struct HistorySource {
   std::vector<Span> spans;
   std::map<std::string, Series> series;  // by path
-  const RecordedTopic* topic = nullptr;  // of which the following are
+  const RecordedTopic* topic = nullptr;  // the description to which `wanted` belongs
   std::vector<std::pair<Figures, Series*>> wanted;
 };
 
@@ -131,13 +131,14 @@ class Answer {
       if (request.topics.contains(one.topic)) descriptions_[{one.topic, one.version}] = std::move(one);
   }
 
-  /// What is before all that was read before. False: there are more points than go into an answer.
+  /// Reads the steps of a topic that are before those read earlier. False: there are more points than fit into an
+  /// answer.
   bool read(const std::string& topic, Time from, Time until) {
     RowFilter filter{.topic = topic, .run = run_.run, .from = from, .until = until};
     auto rows = recording_.steps(filter, request_.step, request_.topics.at(topic)).or_throw();
     while (const RecordedRow* row = rows.next().or_throw()) add(*row);
     for (auto& [key, source] : sources_) {
-      source.topic = nullptr;  // it was of these rows
+      source.topic = nullptr;  // it belonged to these rows
       for (auto& [path, series] : source.series)
         for (Series::Column& column : series.columns) column.later.insert(0, std::exchange(column.text, {}));
     }
@@ -206,7 +207,7 @@ class Answer {
     }
   }
 
-  /// What the recording did not store: sequences without a row.
+  /// Events that the recording did not store: sequences without a row.
   void add_missing() {
     for (auto& [key, source] : sources_) {
       std::sort(source.spans.begin(), source.spans.end(), [](const Span& a, const Span& b) { return a.time < b.time; });
@@ -309,7 +310,7 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
     const Duration all = request.until - request.from;
     Duration slice = request.step * std::min(steps_of_slice, all / request.step);
     Time end = request.until;
-    // Before the run there is nothing; a run of hours is not looked for in a window of a month.
+    // There is no data before the run: a run of hours is not searched in a window of a month.
     const Time begin = whole_steps(std::max(reached, chosen->started), request.step, false);
     while (end > begin) {
       const auto asked = std::chrono::steady_clock::now();
@@ -319,7 +320,7 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
       end = start;
       const auto now = std::chrono::steady_clock::now();
       if (!has_room || now > until) break;
-      // To prepare a slice takes longer than to read a short one.
+      // Preparing a slice takes longer than reading a short one.
       slice *= std::clamp<std::int64_t>(patience / 16 / (now - asked + Duration{1}), 1,
                                         std::min(steps_of_slice, all / slice));
     }

@@ -27,17 +27,17 @@ using Json = nlohmann::ordered_json;
 constexpr Duration pace = std::chrono::milliseconds{200};  // of what is sent
 constexpr Duration status_pace = std::chrono::seconds{1};
 constexpr Duration idle_limit = std::chrono::seconds{15};  // for a request to come
-constexpr Duration busy_limit = std::chrono::seconds{60};  // for its answer to be read, or a stream to be read on
-constexpr Duration seam = std::chrono::seconds{5};         // so much of the past a page gets at its beginning
+constexpr Duration busy_limit = std::chrono::seconds{60};  // for reading the answer, or the next part of a stream
+constexpr Duration seam = std::chrono::seconds{5};         // how much of the past a page gets at its beginning
 constexpr Duration end_patience = std::chrono::milliseconds{300};
 constexpr std::size_t most_kept = std::size_t{4} << 20;
-constexpr std::size_t most_waiting = 64;  // questions
+constexpr std::size_t most_waiting = 64;  // requests
 constexpr std::size_t crowded = PageServer::most_connections * 3 / 4;
 constexpr std::uint16_t next_ports = 20;
 
 constexpr const char* json_type = "application/json";
 
-// What dygraphs sets as styles it sets by its objects, which this allows; the page names every other style in its file.
+// dygraphs sets its styles by objects, which this allows; all other styles are in the page's file.
 constexpr std::pair<const char*, const char*> headers[] = {
     {"Content-Security-Policy", "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"},
     {"X-Content-Type-Options", "nosniff"},
@@ -50,7 +50,7 @@ std::string error_text(std::string_view why) {
   return Json{{"error", why}}.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-/// Takes as long whatever the first difference is.
+/// Takes the same time, wherever the first difference is.
 bool is_equal(std::string_view given, std::string_view wanted) noexcept {
   unsigned char differs = given.size() == wanted.size() ? 0 : 1;
   for (std::size_t i = 0; i < wanted.size(); ++i)
@@ -128,7 +128,7 @@ Result<PageListener> PageListener::open(PageAddress address, TakenPort taken) {
       SocketAddress bound;
       bound.size = sizeof bound.bytes;
       ::getsockname(made.fd_, reinterpret_cast<sockaddr*>(&bound.bytes), &bound.size);
-      // The port stands in the same place of both.
+      // The port is at the same place in both.
       made.address_.port = ntohs(reinterpret_cast<const sockaddr_in*>(&bound.bytes)->sin_port);
       return made;
     }
@@ -267,7 +267,7 @@ void PageServer::start_daemon(PageListener listener) {
   const auto as_value = [](auto* function) { return reinterpret_cast<std::intptr_t>(function); };
   add(MHD_OPTION_NOTIFY_CONNECTION, as_value(&Library::notify), this);
   add(MHD_OPTION_NOTIFY_COMPLETED, as_value(&Library::completed), this);
-  // It speaks of browsers that leave.
+  // The library reports browsers that leave.
   add(MHD_OPTION_EXTERNAL_LOGGER, as_value(+[](void*, const char*, va_list) {}), nullptr);
   if (is_encrypted) {
     add(MHD_OPTION_HTTPS_MEM_CERT, 0, Pointer{config_.certificate.data()});
@@ -317,7 +317,7 @@ void PageServer::set_commands(std::vector<std::string> commands) { config_.comma
 void PageServer::tell_about() {
   if (streams_.empty()) return;
   add_line("{\"about\":" + source_.about() + "}");
-  units_.clear();  // those of what is there now are told again
+  units_.clear();  // the units of the present topics are sent again
 }
 
 void PageServer::run() {
@@ -400,7 +400,7 @@ void PageServer::sweep() {
   }
 }
 
-/// Makes room for it: of those that have sent no request, the one that has been silent for longest goes.
+/// Makes room for a connection: closes the one that has been silent for longest, of those without a request.
 void PageServer::peer_came(Peer& peer) {
   const int keep = 1, idle_s = 15, probes = 3;  // a peer that is gone without a word
   ::setsockopt(peer.fd, SOL_SOCKET, SO_KEEPALIVE, &keep, sizeof keep);
@@ -423,8 +423,8 @@ bool PageServer::is_own_name(std::string_view host) const {
   std::string name(host);
   if (colon != std::string_view::npos && host.find(']', colon) == std::string_view::npos) name.resize(colon);
   std::transform(name.begin(), name.end(), name.begin(), [](unsigned char c) { return std::tolower(c); });
-  // A name of somebody else's that leads here is refused: a page of theirs would speak with this one. Numbers lead
-  // nowhere else.
+  // A foreign name that leads here is refused, because a foreign page could then use this one. A numeric address cannot
+  // be redirected.
   std::array<unsigned char, 16> bytes{};
   if (::inet_pton(AF_INET, name.c_str(), bytes.data()) == 1) return true;
   if (name.size() > 2 && name.front() == '[' && name.back() == ']' &&
@@ -527,7 +527,7 @@ int PageServer::begin_stream(void* of, Request&) {
   MHD_Connection* const connection = Library::connection(of);
   if (streams_.size() >= most_streams)
     return reply(of, MHD_HTTP_SERVICE_UNAVAILABLE, json_type,
-                 error_text(std::to_string(most_streams) + " pages are open, and there may be no more"));
+                 error_text(std::to_string(most_streams) + " pages are open, and no more are allowed"));
   Stream& stream = streams_.emplace_back(Stream{this, connection, Library::peer_of(connection), {}});
   stream.self = std::prev(streams_.end());
   stream.next = first_chunk_;
@@ -567,7 +567,7 @@ std::ptrdiff_t PageServer::give(Stream& stream, char* to, std::size_t most) {
   const std::uint64_t end = first_chunk_ + chunks_.size();
   if (stream.given == stream.head.size() && stream.next < first_chunk_) {  // it reads too slowly
     stream.head = "{\"left_out\":" + std::to_string(first_chunk_ - stream.next) + "}\n";
-    if (stream.offset > 0) stream.head.insert(0, "\n");  // the line that was begun is none
+    if (stream.offset > 0) stream.head.insert(0, "\n");  // ends the incomplete line
     stream.given = 0;
     stream.next = first_chunk_;
     stream.offset = 0;
@@ -597,7 +597,7 @@ std::ptrdiff_t PageServer::give(Stream& stream, char* to, std::size_t most) {
 
 int PageServer::begin_question(void* of, Request& request) {
   if (requests_.size() >= most_waiting)
-    return reply(of, MHD_HTTP_SERVICE_UNAVAILABLE, json_type, error_text("too much is asked at a time: ask again"));
+    return reply(of, MHD_HTTP_SERVICE_UNAVAILABLE, json_type, error_text("too many requests at a time: ask again"));
   std::vector<std::string> words;
   std::string by;
   const char* const question = MHD_lookup_connection_value(request.connection, MHD_GET_ARGUMENT_KIND, "q");

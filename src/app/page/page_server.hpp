@@ -1,4 +1,4 @@
-// The server of the live page (docs/page.md): its files, one stream of lines for all who look, answers to questions.
+// The server of the live page (docs/page.md): its files, one stream of lines for all open pages, answers to requests.
 #pragma once
 
 #include <cstdint>
@@ -18,19 +18,19 @@
 
 namespace rtdata::app {
 
-/// What a page shows, of a run or of a recording. Thread: the server's. No function waits; what is asked is told within
+/// The data that a page shows, of a run or of a recording. Thread: the server's. No function waits; answers come within
 /// the call or later, once, as a text of JSON.
 class PageSource {
  public:
   using Told = std::function<void(std::string text)>;
   virtual ~PageSource() = default;
-  /// Somebody looks: lines are wanted.
+  /// A page is open: lines are needed.
   virtual void begin() = 0;
-  /// Nobody looks any more.
+  /// No page is open any more.
   virtual void end() = 0;
-  /// Calls `take` with each line that has come since, without its end.
+  /// Calls `take` with each new line, without its line end.
   virtual void lines(const std::function<void(std::string_view line)>& take) = 0;
-  /// An object of what seldom changes: names, parts, commands.
+  /// An object of data that seldom changes: names, parts, commands.
   virtual std::string about() = 0;
   virtual void status(Told told) = 0;
   /// `request`: an object, from a browser.
@@ -42,16 +42,16 @@ class PageSource {
 /// 128 random bits, as text.
 std::string make_page_token();
 
-/// A socket that listens, and where. Move-only. Errors of `open`: the system's, such as that the port is taken.
+/// A listening socket, and its address. Move-only. Errors of `open`: the system's, such as that the port is taken.
 class PageListener {
  public:
-  enum class TakenPort { refuse, next };  ///< next: one of the 20 behind it
+  enum class TakenPort { refuse, next };  ///< next: one of the 20 following ports
   static Result<PageListener> open(PageAddress address, TakenPort taken);
   PageListener(PageListener&& other) noexcept;
   PageListener& operator=(PageListener&&) = delete;
   ~PageListener();
   const PageAddress& address() const noexcept { return address_; }
-  /// It is the caller's from now on.
+  /// The caller owns it from now on.
   int release() noexcept;
 
  private:
@@ -60,11 +60,11 @@ class PageListener {
   PageAddress address_;
 };
 
-/// Serves one page to many browsers. Everybody gets the files; what is shown and commanded wants the token. All share
-/// one stream, whose last 4 MiB are kept: one who reads too slowly is told how many lines it did not get.
+/// Serves one page to many browsers. Everybody gets the files; data and commands need the token. All share
+/// one stream, whose last 4 MiB are kept: a page that reads too slowly gets the number of lines that it missed.
 ///
-/// Bounded: 256 connections, of which 128 may be streams; 16 KiB a connection; 15 s for a request to come, and 60 s for
-/// its answer to be read. When there are many, those that have been silent for longest are closed for new ones.
+/// Bounded: 256 connections, of which 128 may be streams; 16 KiB per connection; 15 s for a request to come, and 60 s
+/// for its answer to be read. When there are many, those that have been silent for longest are closed for new ones.
 ///
 /// Owner: the holder. Thread: the loop's.
 class PageServer {
@@ -81,12 +81,12 @@ class PageServer {
   PageServer(Loop& loop, PageListener listener, Config config, PageSource& source);
   PageServer(const PageServer&) = delete;
   PageServer& operator=(const PageServer&) = delete;
-  /// Tells those who look that it has ended, for 300 ms at most.
+  /// Tells open pages that it has ended, for at most 300 ms.
   ~PageServer();
 
   /// From now on the page may give these commands.
   void set_commands(std::vector<std::string> commands);
-  /// What `about` tells has changed.
+  /// The result of `about` has changed.
   void tell_about();
 
  private:
@@ -109,7 +109,7 @@ class PageServer {
   void resume_streams();
   void sweep();
   void peer_came(Peer& peer);
-  /// Why a request is refused, as a status of HTTP; 0: it is not.
+  /// The HTTP status of a refused request; 0: it is not refused.
   unsigned refusal(void* connection, std::string_view url, std::string_view method) const;
   bool is_own_name(std::string_view host) const;
   int handle(void* connection, const char* url, const char* method, const char* upload, std::size_t* size,
@@ -142,7 +142,7 @@ class PageServer {
   std::size_t chunk_bytes_ = 0;
   std::uint64_t lines_ = 0;
   std::string pending_;
-  std::map<std::string, std::string, std::less<>> units_;  // the lines that tell them, by topic
+  std::map<std::string, std::string, std::less<>> units_;  // the lines with the units, by topic
   std::string status_;                                     // the last line
   bool is_status_asked_ = false;
   MonotonicTime status_at_{};

@@ -1,4 +1,4 @@
-// What of a configuration a page needs to know.
+// The parts of a configuration that a page needs.
 #pragma once
 
 #include <string>
@@ -9,15 +9,15 @@
 
 namespace rtdata::app {
 
-/// Without the page, in a program that was built without it or on a machine that lacks its library, a file that wants
-/// it has a mistake.
+/// Without the page, in a program that was built without it or on a machine that lacks its library, a file that
+/// requires it has a mistake.
 void check_page(SystemPlan& plan);
 
-/// The topics of changes, of which a page gets each event: of machines, limits and outputs, and commands.
+/// The topics of changes (machines, limits, outputs, commands), of which a page gets each event.
 std::vector<std::string> topics_of_changes(const SystemPlan& plan);
 
-/// An object of JSON: name, notes, the parts that the page draws in a way of their own (machines, limits, outputs) as
-/// they are written, and the names of the sensors.
+/// An object of JSON: name, notes, the parts that the page draws in a special way (machines, limits, outputs) as
+/// written, and the names of the sensors.
 std::string page_setup(const SystemPlan& plan);
 
 }  // namespace rtdata::app

@@ -78,7 +78,7 @@ Status status_of_run(const Recording& recording, const RunReport& report) {
   return status;
 }
 
-/// Thread: the loop's; what it reads, it reads on a lane.
+/// Thread: the loop's; it reads the disk on a lane.
 class RecordedSource final : public PageSource {
  public:
   RecordedSource(Loop& loop, const Registry& registry, std::string path, const std::optional<std::string>& which)
@@ -117,7 +117,7 @@ class RecordedSource final : public PageSource {
     if (past_ == nullptr) return;
     if (!is_reading_) read();
     for (EventStream* stream : {steps_.get(), changes_.get()}) {
-      stream->turn(now() - std::chrono::seconds{2});  // steps are over once the recording has them
+      stream->turn(now() - std::chrono::seconds{2});  // steps are complete once the recording has them
       std::string_view text = stream->text();
       const std::size_t size = text.size();
       for (std::size_t end = text.find('\n'); end != std::string_view::npos; end = text.find('\n')) {
@@ -166,7 +166,7 @@ class RecordedSource final : public PageSource {
   }
 
  private:
-  /// Whether it is recorded, its end, and what is not known of it.
+  /// True if it is still recorded; its end; and what is not known about it.
   static void tell_state(Json& about, const Recording& recording, const RunReport& report) {
     about["recording"] = report.verdict == Verdict::recording && report.info.boot_id == SystemClock().boot_id();
     about["run"] = page_run(recording, report.info);

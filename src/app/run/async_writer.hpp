@@ -29,7 +29,7 @@ struct WriterCounts {
 };
 
 /// One thread, started at the first `open`. If more than `queue` texts wait, the oldest is dropped. Thread: `write`
-/// any, all else one.
+/// any, all other functions one.
 class AsyncWriter {
  public:
   explicit AsyncWriter(std::size_t queue) : queue_(queue) {}

@@ -25,7 +25,7 @@ namespace {
 using Points = std::vector<std::array<double, 2>>;
 
 constexpr Duration glance = std::chrono::milliseconds{20};     // between two looks at standard input
-constexpr Duration settling = std::chrono::milliseconds{150};  // what was read before the value was typed
+constexpr Duration settling = std::chrono::milliseconds{150};  // the time before the value was typed
 constexpr Duration of_a_point = std::chrono::seconds{2};
 constexpr Duration patience = std::chrono::seconds{10};
 constexpr int digits_of_raw = 10;
@@ -71,7 +71,7 @@ bool is_number(Kind kind) { return (kind >= Kind::i8 && kind <= Kind::u64) || ki
   throw SetupError({Errc::bad_argument, "cannot calibrate", where, std::move(why), std::move(advice)});
 }
 
-/// The sensor whose name this is, or begins this with a point behind it; the longest one.
+/// The sensor with this name, or with the longest name that is followed by a point here.
 const PartPlan& sensor_in(const SystemPlan& plan, const std::string& word) {
   const PartPlan* found = nullptr;
   std::vector<std::string> names;
@@ -103,7 +103,7 @@ std::string field_of(const PartPlan& sensor, const std::string& given) {
            "name one, such as " + sensor.name + "." + (numbers.empty() ? "value" : numbers.front()));
   if (numbers.empty() || std::find(numbers.begin(), numbers.end(), given) != numbers.end()) return given;
   const std::string nearest = nearest_name(given, numbers);
-  refuse("sensor " + sensor.name, "it has no number " + given + "; there are " + all,
+  refuse("sensor " + sensor.name, "it has no number " + given + "; available: " + all,
          nearest.empty() ? "" : "did you mean " + nearest + "?");
 }
 
@@ -113,7 +113,7 @@ const ConfigChild* child_of(const ConfigItem& item, std::string_view key) {
   return nullptr;
 }
 
-/// The configuration with other points for the field of the sensor: its text, and what went from its calibration.
+/// The configuration with new points for the field of the sensor: its text, and the keys removed from the calibration.
 class Edited {
  public:
   Edited(ConfigDocument document, const ConfigItem& sensor, std::string field, const Points& points)
@@ -145,7 +145,7 @@ class Edited {
   const std::string& gone() const noexcept { return gone_; }
 
  private:
-  /// Of the sensor so many levels down: itself, `process`, the field, `calibration`. Null: it is not there.
+  /// The item this many levels below the sensor: itself, `process`, the field, `calibration`. Null: it is not there.
   const ConfigItem* at(const ConfigItem& root, std::size_t levels) const {
     const ConfigItem* item = root.find(path_);
     const std::array<std::string, 3> keys{"process", field_, "calibration"};
@@ -166,7 +166,7 @@ class Edited {
   std::string gone_;
 };
 
-/// Whether it can be replaced, as far as that is known before.
+/// Checks that the file can be replaced, as far as this is known before.
 void check_writable(const std::string& file) {
   const std::filesystem::path target = std::filesystem::canonical(file);
   for (const std::filesystem::path& path : {target, target.parent_path()})
@@ -203,7 +203,7 @@ class Session {
         const auto read = std::from_chars(word.data(), word.data() + word.size(), number);
         const bool is_number = read.ec == std::errc{} && read.ptr == word.data() + word.size();
         if (!is_number || !std::isfinite(number)) {
-          std::cout << "  \"" << word << "\" is not a number such as 98.1; else there are: undo, done" << std::endl;
+          std::cout << "  \"" << word << "\" is not a number such as 98.1; other inputs: undo, done" << std::endl;
         } else if (const Result<void> taken = take(number); !taken) {
           return taken;
         }
@@ -239,7 +239,7 @@ class Session {
       return;
     }
     points_.pop_back();
-    std::cout << "  point " << points_.size() + 1 << " is taken back" << std::endl;
+    std::cout << "  point " << points_.size() + 1 << " is removed" << std::endl;
     show_line();
   }
   Result<void> take(double number) {
@@ -258,7 +258,7 @@ class Session {
     for (std::size_t i = 0; i < points_.size(); ++i) {
       if (points_[i][0] != raw) continue;
       std::cout << "  raw is " << number_text(raw, digits_of_raw) << " as at point " << i + 1
-                << ": not taken; change what is measured, or undo" << std::endl;
+                << ": not used; change what is measured, or undo" << std::endl;
       return {};
     }
     points_.push_back({raw, number});
@@ -296,8 +296,7 @@ void write_points(const Registry& registry, const SystemPlan& plan, const PartPl
   replace_file(plan.document.file, edited.document().text).or_throw();
   std::cout << "wrote " << plan.document.file << ": " << points.size() << " points for " << sensor.name << "." << field
             << std::endl;
-  if (!edited.gone().empty())
-    std::cout << "in their place, its calibration has no more: " << edited.gone() << std::endl;
+  if (!edited.gone().empty()) std::cout << "removed from this calibration: " << edited.gone() << std::endl;
   const ConfigItem* const all = sensor.item.find("process." + field + ".calibration");
   for (const char* const key : {"least", "most"}) {
     const ConfigItem* const limit = all == nullptr ? nullptr : all->find(key);
@@ -338,7 +337,7 @@ int calibrate(const Registry& registry, const CalibrateOptions& options) {
                     ? "It warms up: no value comes before " + to_string(warm_up) + ".\n"
                     : "")
             << "Apply a known value, wait until it is steady, then enter that value.\n"
-               "undo: takes the last one back; an empty line, or done: that was all.\n"
+               "undo: removes the last one; an empty line, or done: ends the input.\n"
             << std::flush;
   const Duration period = raw.publishes->load ? raw.publishes->load->period : Duration{0};
   Session session(*values, shown.empty() || shown == "1" ? "" : " [" + shown + "]", patience + warm_up + 2 * period);

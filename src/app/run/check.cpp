@@ -66,7 +66,7 @@ std::string counts_text(const Registry& registry, const SystemPlan& plan) {
 
 namespace {
 
-/// "sensor tank, value: 0.1962 * raw - 24.2111 through 2 points", a line each.
+/// "sensor tank, value: 0.1962 * raw - 24.2111 through 2 points", one line each.
 std::vector<std::string> calibration_lines(const SystemPlan& plan) {
   std::vector<std::string> lines;
   for (const PartPlan* sensor : plan.of_kind("sensor")) {

@@ -53,8 +53,8 @@ AsyncWriter& RunConsole::terminal() {
   return terminal_;
 }
 
-/// The text for people: an error of an object is shown once, until another message about the object; repeats and the
-/// same reason of its health are not shown. Empty: nothing new. The log has everything.
+/// The text on the terminal: an error of an object is shown once, until another message about the object; repeats and
+/// the same reason of its health are not shown. Empty: nothing new. The log has everything.
 std::optional<std::string> RunConsole::news(std::string_view object, const std::string& text) {
   if (object.empty() || object == "program") return text;
   std::string once = text;

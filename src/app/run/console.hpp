@@ -1,4 +1,4 @@
-// The messages of a run: for people on the terminal, and all of them in the log file.
+// The messages of a run: a selection on the terminal, and all of them in the log file.
 #pragma once
 
 #include <atomic>
@@ -30,17 +30,17 @@ class RunConsole {
   void add_secrets(const std::vector<std::string>& secrets);
   std::string without_secrets(const std::string& text) const;
 
-  /// Writes to the log file and shows the message to people: an error of an object only once, until another message
-  /// about it.
+  /// Writes to the log file and shows the message on the terminal: an error of an object only once, until another
+  /// message about it.
   void say(LogLevel level, std::string_view object, std::string_view what, std::string_view error_id = {});
-  /// Shows text to people only.
+  /// Shows text only on the terminal.
   void tell(const std::string& text);
   void report_log_failure();
 
   /// Reserves standard output for a sink.
   void leave_stdout() noexcept { uses_stdout_ = true; }
   bool leaves_stdout() const noexcept { return uses_stdout_; }
-  /// The table, where standard output is a terminal for people.
+  /// The table, if standard output is a terminal.
   void open_view();
   bool has_view() const noexcept { return has_view_; }
   /// Draws the table over the previous one.

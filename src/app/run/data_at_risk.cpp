@@ -24,7 +24,7 @@ bool may_go_quiet(const PartPlan& part, const std::vector<ParameterInfo>& parame
   return !span || *span <= Duration{0};
 }
 
-/// Units that no device has by RTU, or few. What is no key of a bus or sensor of another type is not found.
+/// Warns of units that with RTU no device, or few devices, have. Buses and sensors of other types do not have the key.
 void warn_of_units(SystemPlan& plan) {
   for (const PartPlan& part : plan.parts) {
     if (part.kind != "sensor" || part.type != "modbus") continue;
@@ -39,9 +39,9 @@ void warn_of_units(SystemPlan& plan) {
     const bool is_reserved = number.size() == 3 && number >= "248";
     if (is_rtu && (number == "0" || is_reserved))
       plan.warnings.add(unit->problem(
-          "unlikely-address", number == "0" ? "by RTU unit 0 is for all devices, and none of them answers; "
+          "unlikely-address", number == "0" ? "with RTU, unit 0 addresses all devices, and none of them answers; "
                                               "devices have 1 to 247"
-                                            : "by RTU the units 248 to 255 are reserved: devices have 1 to 247"));
+                                            : "with RTU, the units 248 to 255 are reserved: devices have 1 to 247"));
   }
 }
 
@@ -104,7 +104,7 @@ void warn_of_losses(SystemPlan& plan) {
                                      "the end of the run does not wait until the last events are stored: those that "
                                      "came within its `batch_time`, " +
                                          to_string(part.stores->batch_time) +
-                                         ", are lost; give it some seconds, or leave `close_deadline` out"));
+                                         ", are lost; give it some seconds, or remove `close_deadline`"));
     }
     if (!part.publishes || !part.publishes->load || part.publishes->load->period <= Duration{0}) continue;
     const Sampling& sampling = part.publishes->sampling;

@@ -12,7 +12,7 @@
 namespace rtdata::app {
 
 /// The growth of one sink's file from sensors with a known rate (of reads, or of the device's own samples). Other
-/// sensors are left out.
+/// sensors do not count.
 struct Growth {
   const PartPlan* sink = nullptr;  ///< valid as long as the plan
   double bytes_per_day = 0;

@@ -33,7 +33,7 @@ int init(const Registry& registry, const std::string& file) {
     std::erase(known, "");
     const Error error{Errc::bad_argument, "cannot write the starter file", file,
                       "`rtdata run` reads no configuration with this extension",
-                      "let its name end with " + detail::listed(known)};
+                      "choose a name that ends with " + detail::listed(known)};
     std::cerr << "rtdata: " << error.text() << std::endl;
     return exit_other;
   }

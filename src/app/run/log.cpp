@@ -93,7 +93,7 @@ Result<void> Log::open(const std::string& file, const LogSettings& settings) {
   fd_ = open_file(file, *permissions);
   if (fd_ < 0) {
     return system_error(errno, "cannot write the log file", file,
-                        "choose another with --log FILE; the program runs on without");
+                        "choose another with --log FILE; the program continues without a log");
   }
   file_ = file;
   least_ = settings.level;

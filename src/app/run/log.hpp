@@ -12,7 +12,7 @@
 
 namespace rtdata::app {
 
-/// Appends to the file, which rotates by size (LogSettings). Thread: `write` any, all else the main one.
+/// Appends to the file, which rotates by size (LogSettings). Thread: `write` any, all other functions the main one.
 class Log {
  public:
   Log() : writer_(128) {}  // queued lines; each takes 0.4 KiB, allocated at the start

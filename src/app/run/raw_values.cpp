@@ -26,7 +26,7 @@ using Json = nlohmann::ordered_json;
 constexpr Duration answer_limit = std::chrono::seconds{3};
 constexpr const char* step = "50 ms";
 
-/// "accel.raw[0]" of "accel[0]", where the array has a calibration, or "accel[0].raw".
+/// For "accel[0]": "accel.raw[0]" if the array has a calibration, otherwise "accel[0].raw".
 std::vector<std::string> raw_names(const std::string& field) {
   std::vector<std::string> names{field + ".raw"};
   if (const std::size_t bracket = field.rfind('['); bracket != std::string::npos)
@@ -130,7 +130,7 @@ class ValuesOfSensor final : public RawValues {
   Subscription values_;
 };
 
-/// Its file, as far as this user may know; empty: not.
+/// Its file, if this user may know it; otherwise empty.
 std::filesystem::path file_of(const Status::Instance& instance) {
   std::filesystem::path path = instance.configuration;
   if (path.is_absolute()) return path;
@@ -139,7 +139,7 @@ std::filesystem::path file_of(const Status::Instance& instance) {
   return failed ? std::filesystem::path() : folder / path;
 }
 
-/// The parts that this one needs, itself among them: kind and name.
+/// The parts that this one needs, including itself: kind and name.
 using PartNames = std::set<std::pair<std::string, std::string>>;
 void collect(const SystemPlan& plan, const PartPlan& part, PartNames& needed) {
   if (part.kind == "output" || part.kind == "machine")

@@ -1,5 +1,5 @@
-// Raw values of a field of a sensor as they come, for `rtdata calibrate`: of a running instance, or of the sensor made
-// for that alone.
+// Live raw values of a sensor field, for `rtdata calibrate`: from a running instance, or from the sensor, made only
+// for this.
 #pragma once
 
 #include <cstddef>
@@ -10,7 +10,7 @@
 
 namespace rtdata::app {
 
-/// What came in some time.
+/// The values that came in some time.
 struct TakenValues {
   std::size_t count = 0;
   double sum = 0, least = 0, most = 0;
@@ -24,7 +24,7 @@ class RawValues {
   virtual ~RawValues() = default;
   /// "the running instance bench, pid 4711"
   virtual std::string where() const = 0;
-  /// Waits so long and takes what comes in it. Errors: no more can come.
+  /// Waits this long and takes the values that come meanwhile. Errors: no more can come.
   virtual Result<TakenValues> take(Duration time) = 0;
 };
 
@@ -32,8 +32,8 @@ class RawValues {
 std::unique_ptr<RawValues> values_of_instance(const std::string& file, const std::string& sensor,
                                               const std::string& field);
 
-/// A configuration with this sensor and what it uses, alone: raw, on the main loop, without sinks. SetupError if it
-/// uses outputs or machines, which must not run for that.
+/// A configuration with only this sensor and the parts that it uses: raw, on the main loop, without sinks. SetupError
+/// if it uses outputs or machines, which must not run for this.
 SystemPlan plan_alone(const Registry& registry, const SystemPlan& plan, const PartPlan& sensor);
 
 /// Makes that sensor. Its errors are printed. SetupError. `alone`, `registry`: outlive it.

@@ -82,7 +82,7 @@ bool Reload::may_be_applied(Change& change) {
     return refused(
         std::to_string(next.problems.size()) + (next.problems.size() == 1 ? " mistake in " : " mistakes in ") +
         options_.file +
-        (next.problems.size() > most_reported ? ", the first of which are told; `rtdata check` tells all" : ""));
+        (next.problems.size() > most_reported ? ", the first of which are shown; `rtdata check` shows all" : ""));
   }
   for (const Problem& warning : next.warnings) add(change, LogLevel::warning, warning.text(), warning.id);
   if (!run_.has_guard && !next.of_kind("output").empty()) return refused(std::string(no_guard));
@@ -114,7 +114,7 @@ struct Reload::NewFilesLook final : detail::LaneJob {
   static std::vector<std::string> not_known(const std::vector<NewFile>& files) {
     std::vector<std::string> lines;
     for (const NewFile& file : files)
-      lines.push_back(file.object + ": whether " + file.path + " can be written could not be found out in " +
+      lines.push_back(file.object + ": checking whether " + file.path + " can be written took longer than " +
                       to_string(storing_patience));
     return lines;
   }
@@ -267,7 +267,7 @@ void Reload::stop_waiting(const std::shared_ptr<Change>& change) {
   }
   if (!stuck.empty())
     return refuse(*change, "the reload would close " + detail::listed(stuck) +
-                               ", which cannot store its queue now and would lose it; mend the cause, or, if the disk "
+                               ", which cannot store its queue now and would lose it; fix the cause, or, if the disk "
                                "does not answer, give the sink a file on another disk");
   for (const PartPlan* sink : left)
     add(*change, LogLevel::warning,
@@ -342,7 +342,7 @@ void Reload::report_parts(const std::shared_ptr<Change>& change) {
   for (const std::string& line : change->left) add(*change, LogLevel::warning, line, "left-backlog");
   report_removed_senders(*change);
   if (!change->missing.empty())
-    return conclude(*change, LogLevel::error, options_.file + " is applied, but for this: " + change->missing);
+    return conclude(*change, LogLevel::error, options_.file + " is applied, except for this: " + change->missing);
   conclude(*change, LogLevel::info,
            options_.file + " is applied" + (parts.is_empty() ? "; nothing has changed in it" : "") + ": " +
                counts_text(registry_, change->read->plan));

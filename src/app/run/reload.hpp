@@ -32,7 +32,7 @@ class Reload {
   struct Run {
     std::function<bool()> is_ending;
     std::function<void(const SystemPlan& next)> applied;
-    const Tares& tares;      ///< put into what is read
+    const Tares& tares;      ///< tares for the configuration that is read
     bool has_guard = false;  ///< the process that sets outputs safe was started with the program
   };
   struct NextPlan {
@@ -81,7 +81,7 @@ class Reload {
     // Sinks that still store their queue, and "tier fast" until it turns; then sinks that open their files.
     std::set<std::string> waits_for = {};
     Timer patience = {};
-    std::vector<std::string> left = {};  // what waits in recordings and is not sent afterwards, a line each
+    std::vector<std::string> left = {};  // events that wait in recordings and will not be sent, one line each
     std::vector<RemovedSender> removed_senders = {};
     std::size_t reported_parts = 0;  // number of changed parts already logged
     std::string details = {};        // its messages, a line each
@@ -96,10 +96,11 @@ class Reload {
   /// The sinks that the change closes.
   std::vector<const PartPlan*> closing_sinks(const Change& change) const;
   std::vector<RemovedSender> removed_senders(const Change& change) const;
-  /// Reports what waits in recordings for removed senders, as counted when they were closed: their files are not read,
-  /// because a disk may hang.
+  /// Reports events that wait in recordings for removed senders, as counted when these were closed: their files are not
+  /// read, because a disk may hang.
   void report_removed_senders(Change& change);
-  /// True if a sink that cannot store its queue may be left: nobody can mend its disk, and no other sink gets its file.
+  /// True if a sink that cannot store its queue may be left: nobody can repair its disk, and no other sink gets its
+  /// file.
   bool may_be_left(const Change& change, const PartPlan& sink) const;
   void begin(const std::shared_ptr<Change>& change);
   /// Checks on the lane that new files can be written, while closing sinks store their queue.

@@ -67,7 +67,7 @@ class Run {
     const FatalSignals fatal(log_);
     log_.write(LogLevel::info, "program", "started with " + options_.file);
     if (!tares.empty())
-      console_.say(LogLevel::info, "configuration", "tares as before, of " + tares_.file() + ": " + tares);
+      console_.say(LogLevel::info, "configuration", "tares as before, from " + tares_.file() + ": " + tares);
     int status = exit_other;
     try {
       status = plan.good() ? run(plan) : refuse(plan);
@@ -284,7 +284,7 @@ class Run {
     return settings;
   }
 
-  /// A reader's connection goes over to those; else why not.
+  /// Passes a reader's connection to the readers; otherwise returns the reason.
   static ControlSocket::Work serve_reader(ControlSocket& control, Readers& readers, std::uint64_t client,
                                           std::string_view line) {
     Result<StreamRequest> request = stream_request(line);
@@ -425,12 +425,15 @@ class Run {
     is_storing_reported_ = true;
     if (is_closing_) {  // stopping the loop would end the closing
       console_.say(LogLevel::info, "program",
-                   std::string(signal) + ": the queued events are being stored already (again: ends at once)");
+                   std::string(signal) +
+                       ": the queued events are already being stored (a second one ends the program at once; they are "
+                       "then lost)");
       draw();
       return;
     }
     console_.say(LogLevel::info, "program",
-                 std::string("stopping on ") + signal + ": storing the queued events (again: ends at once)");
+                 std::string("stopping on ") + signal +
+                     ": storing the queued events (a second one ends the program at once; they are then lost)");
     draw();
     loop.stop();
   }

@@ -101,10 +101,10 @@ std::string starter_file(const Registry& registry, const std::string& file, cons
   const std::string lines = R"({"type": "file", "path": )" + output(".jsonl") +
                             R"(, "topics": ["#"], "rotate": {"bytes": 100000000}, "keep": 9})";
   add_list(text, registry, "sinks",
-           {{"check it with: rtdata verify " + stem + ".db; at 1 GB its oldest rows give way to new ones" +
+           {{"check it with: rtdata verify " + stem + ".db; from 1 GB on, its oldest rows are deleted" +
                  (is_card ? "\n    // card: fewer writes, since this is an SD card; a power failure costs 10 s" : ""),
              recording},
-            {"one JSON object a line; 10 files of 100 MB, then the oldest goes", lines}});
+            {"one JSON object per line; 10 files of 100 MB, then the oldest is deleted", lines}});
   return text + "\n}\n";
 }
 

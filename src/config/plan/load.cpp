@@ -150,7 +150,7 @@ void parse(ConfigDocument& document, const ConfigFormats& formats) {
     std::erase(known, "");
     document.problems.add("unknown-format", whole(document.file), "",
                           "no configuration format has the extension \"" + extension_of(document.file) +
-                              "\"; there are " + detail::listed(known));
+                              "\"; available: " + detail::listed(known));
     return;
   }
   std::string_view text = document.text;

@@ -54,10 +54,10 @@ void Neighbours::add(const PartPlan& part, Problems& problems) {
   }
   check_name(part, problems);
   if (part.kind == "output" && part.item.to_json().size() > OutputGuard::most_bytes)
-    problems.add(part.item.problem("bad-value",
-                                   "the output has more than 64 KiB of settings; the guard of outputs takes no more"));
+    problems.add(part.item.problem(
+        "bad-value", "the output has more than 64 KiB of settings; the guard of outputs accepts no more"));
   if (part.kind == "output" && ++outputs_ == OutputGuard::most_outputs + 1)
-    problems.add(part.item.problem("bad-value", "there are more outputs than the guard of outputs takes, which is " +
+    problems.add(part.item.problem("bad-value", "there are more outputs than the guard of outputs accepts, which is " +
                                                     std::to_string(OutputGuard::most_outputs)));
 }
 
@@ -119,9 +119,9 @@ void Neighbours::check_place(const PartPlan& part, const PartPlan::Place& taken,
   const bool may_share = !taken.sharing.empty() && !first.place.sharing.empty();
   if (may_share && taken.sharing == first.place.sharing && part.tier() == first.tier()) return;
   if (!is_on_bus) {
-    const char* advice = "a device is one sensor's or one bus's alone";
+    const char* advice = "a device belongs to one sensor or one bus only";
     if (part.kind == first.kind && part.kind == "bus") advice = "one bus is enough for all devices on it";
-    if (may_share) advice = "sensors that share a device have the same `baud_rate` and so on, and the same tier";
+    if (may_share) advice = "sensors that share a device need the same `baud_rate` and so on, and the same tier";
     problems.add(child_or_self(part.item, "device")
                      .problem("duplicate-place", first.object() + ", at " + place_of(first.item) +
                                                      ", has this device already; " + advice));
@@ -266,7 +266,7 @@ void Neighbours::check_written_names(Problems& problems) {
       const std::string
           why = " cannot be in the lines of InfluxDB that the sink at " + place_of(sink.item) +
                 " writes: they have no way to write a line break, nor a backslash at the end or before a "
-                "comma, a blank, = or another; give it another name, or leave it out of the `topics` there";
+                "comma, a blank, = or another; give it another name, or remove it from the `topics` there";
       if (!detail::fits_influx_name(topic)) {
         problems.add(topic_item(part).problem("cannot-record", "the topic \"" + topic + "\"" + why));
       } else if (!detail::fits_influx_name(part.name)) {
@@ -336,7 +336,7 @@ const PartPlan* Neighbours::namesake_of(const PartUse& use) const {
 void Neighbours::check_through(const PartPlan& part, Problems& problems) const {
   const ConfigItem& at = child_or_self(part.item, "through");
   if (part.stores->is_recording) {
-    problems.add(at.problem("wrong-part", "a recording cannot go through another recording; leave `through` out"));
+    problems.add(at.problem("wrong-part", "a recording cannot go through another recording; remove `through`"));
     return;
   }
   const PartPlan* recording = find("sink", part.stores->through);
@@ -375,8 +375,8 @@ void Neighbours::check_stored_by(const PartPlan& part, Problems& problems) const
         problems.add(
             at.problem("wrong-part", one.object() + " shares the topic \"" + one.publishes->topic + "\" with " +
                                          other->object() + ", at " + place_of_name(*other) +
-                                         ": after a pause, a machine and its outputs go on by what was recorded "
-                                         "there last; give each a topic of its own"));
+                                         ": a machine and its outputs resume from the last event of their topic: "
+                                         "each needs its own topic"));
   };
   check_alone(part);
   for (const PartUse& output : part.uses) {
@@ -410,10 +410,10 @@ void Neighbours::check_uses(const PartPlan& part, Problems& problems) {
       const auto resumes = std::find_if(from.begin(), from.end(),
                                         [](const PartPlan* one) { return !one->stored_by.empty(); });
       if (part.kind == "output" && resumes != from.end())
-        problems.add(use.item.problem(
-            "wrong-part", (*resumes)->object() + ", at " + place_of_name(**resumes) +
-                              ", goes on after a pause where its recording says: this output "
-                              "would act before the change is recorded; let the machine's states `set` it"));
+        problems.add(use.item.problem("wrong-part",
+                                      (*resumes)->object() + ", at " + place_of_name(**resumes) +
+                                          ", resumes from its recording: this output would act before the change is "
+                                          "stored. Set the output in the machine's states (`set`) instead"));
       if (!from.empty()) continue;
       problems.add(use.item.problem("unknown-topic", "nothing of this configuration publishes on \"" + use.name + "\"",
                                     suggestion(use)));

@@ -36,7 +36,7 @@ Result<PageAddress> parse_page_address(std::string_view text) {
     if (end == std::string_view::npos) return refused("a bracket is not closed");
     host = text.substr(1, end - 1);
     port = text.substr(end + 1);
-    if (!port.empty() && !port.starts_with(':')) return refused("a port, as :8080, has to follow the bracket");
+    if (!port.empty() && !port.starts_with(':')) return refused("a port such as :8080 must follow the bracket");
   } else if (const std::size_t colon = text.find(':'); colon != std::string_view::npos) {
     host = text.substr(0, colon);
     port = text.substr(colon);
@@ -60,7 +60,7 @@ void check_config(const PageSettings& settings, const ConfigItem& item, Problems
   if (!settings.token.empty() && settings.token.size() < shortest_token)
     complain("token", "it has " + std::to_string(settings.token.size()) + " characters, and could be guessed: give " +
                           std::to_string(shortest_token) +
-                          " or more, or leave `token` out: then one is made at each start");
+                          " or more, or remove `token`: then a new one is made at each start");
   if (settings.token.size() > longest_token || !is_allowed)
     complain("token", "use only letters, digits and the characters - _ . ~, at most " + std::to_string(longest_token) +
                           " of them");
@@ -71,8 +71,9 @@ void check_config(const PageSettings& settings, const ConfigItem& item, Problems
   if (address->is_loopback() || settings.tls || settings.behind_tls_proxy) return;
   for (const std::string& command : settings.commands) {
     if (std::find(setting_commands.begin(), setting_commands.end(), command) == setting_commands.end()) continue;
-    complain("commands", "on " + settings.listen + ", which others reach, \"" + command +
-                             "\" goes unencrypted: give `tls`, or `behind_tls_proxy` where another server encrypts it");
+    complain("commands",
+             "on " + settings.listen + ", which others reach, \"" + command +
+                 "\" is sent unencrypted: give `tls`, or `behind_tls_proxy` where another server encrypts it");
   }
 }
 

@@ -53,7 +53,7 @@ void check_topic(const PartPlan& plan, Problems& problems) {
   std::string mistake;
   if (!is_topic_name(topic)) mistake = topic_advice(topic) + "; give the " + plan.kind + " a `topic`, or another name";
   if (topic.starts_with("$"))
-    mistake = "topics that begin with $ are the library's own; give the " + plan.kind + " a `topic`";
+    mistake = "topics that begin with $ are reserved for the library; give the " + plan.kind + " a `topic`";
   if (topic == "rtdata/commands")
     mistake = "on this topic the program records commands; give the " + plan.kind + " another `topic` or name";
   if (!mistake.empty()) problems.add(child_or_self(plan.item, "name").problem("bad-name", mistake));
@@ -80,7 +80,7 @@ void check_from(const PartPlan& plan, Problems& problems) {
   if (!plan.stores || !plan.stores->through.empty() || from == nullptr || text_or_empty(plan.item, "from") == "now")
     return;
   problems.add(
-      from->problem("bad-value", "it has no effect without `through`: give the name of a recording, or leave it out"));
+      from->problem("bad-value", "it has no effect without `through`: give the name of a recording, or remove it"));
 }
 
 /// The parts that the item names.

@@ -63,7 +63,7 @@ void warn_of_loop(const std::string& tier, const std::string& name, const std::v
     };
     warnings.add(child_or_self(largest(parts, share).item, "rate")
                      .problem("overloaded-lane",
-                              "a device cannot be read so often (" + lane.text() +
+                              "a device cannot be read this often (" + lane.text() +
                                   "), and this sensor reads it most; lower the rates of the sensors that share it"));
   }
 }

@@ -33,7 +33,7 @@ Parts::Part& Parts::part_named(std::string_view kind, std::string_view name) con
   const std::string nearest = nearest_name(name, known);
   std::string advice = nearest.empty() ? "there is none" : "did you mean \"" + nearest + "\"?";
   if (nearest.empty() && !known.empty()) {
-    advice = "there are";
+    advice = "available:";
     for (std::size_t i = 0; i < known.size() && i < 12; ++i) advice.append(i == 0 ? " " : ", ").append(known[i]);
   }
   throw SetupError(

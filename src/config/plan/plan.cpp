@@ -115,7 +115,7 @@ class Planner {
     const auto at = [&](const char* key) -> const ConfigItem& { return child_or_self(root(), key); };
     if (storing_ == 0 && publishing_ != 0 && plan_.problems.empty()) {
       plan_.warnings.add(
-          at("sinks").problem("no-sinks", "there are no sinks: the readings of the sensors are kept nowhere"));
+          at("sinks").problem("no-sinks", "there are no sinks: the readings of the sensors are not stored"));
     }
     if (publishing_ == 0 && (plan_.problems.empty() || (has_good_settings_ && at("sensors").is_array()))) {
       plan_.warnings.add(at("sensors").problem("no-sensors", "there are no sensors: nothing will be recorded"));

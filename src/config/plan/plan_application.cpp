@@ -119,7 +119,7 @@ void PlanApplication::refuse() const {
   for (const PartChange& change : all_.all) {
     if (change.fate != Fate::refused) continue;
     throw SetupError({Errc::busy, "cannot apply the configuration", change.object, change.why,
-                      "nothing was changed; take the change back, or start the program again"});
+                      "nothing was changed; undo the change, or start the program again"});
   }
   refuse_hanging();
   for (const PlannedChange& planned : compared_.parts)
@@ -149,7 +149,7 @@ void PlanApplication::refuse_hanging() const {
     } catch (const SetupError& error) {
       if (error.error().code != Errc::not_turning) continue;  // the tier does not exist yet
       throw SetupError({Errc::not_turning, "cannot apply the configuration", "tier " + name, error.error().why,
-                        "nothing was changed; find what blocks there, or leave its parts as they are, and the sinks "
+                        "nothing was changed; find what blocks there, or do not change its parts and the sinks "
                         "that take its topics"});
     }
   }
@@ -400,8 +400,7 @@ void PlanApplication::settle() {
       planned.next->as_written(part.object);
     } catch (const SetupError& error) {  // its tier does not turn
       system_.loop_.runtime().core().log(LogLevel::warning, planned.next->object(),
-                                         std::string("it is not as it is written: ") + error.what(),
-                                         error.error().id());
+                                         std::string("it is not as configured: ") + error.what(), error.error().id());
     }
   }
   // The parts are closed in reverse order.

@@ -113,7 +113,7 @@ void config_detail::report_misfit(const Result<void>& good, const ConfigItem& it
 
 Registry::Registry() {
   add_kind("bus", "buses", "connections of sensors to devices, by name; each has a `type`", PartKind::Written::by_name);
-  add_kind("sink", "sinks", "where it goes; each has a `type`", PartKind::Written::list, PartKind::Does::stores);
+  add_kind("sink", "sinks", "where the events go; each has a `type`", PartKind::Written::list, PartKind::Does::stores);
   add_kind("sensor", "sensors", "the sensors; each has a `type`", PartKind::Written::list, PartKind::Does::publishes);
   kinds_.back().common = parameters_of<config_detail::Placement>();
   add_kind("machine", "machines", "state machines", PartKind::Written::list, PartKind::Does::publishes);

@@ -22,7 +22,7 @@ void check_config(const TierSettings& settings, const ConfigItem& item, Problems
   if (is_real_time && settings.priority == 0) {
     complain("policy", "policy \"" + std::string(name_of(settings.policy)) + "\" needs a `priority` from 1 to 99");
   } else if (!is_real_time && settings.priority != 0) {
-    complain("priority", "a priority goes with the policies \"fifo\" and \"rr\" only");
+    complain("priority", "only the policies \"fifo\" and \"rr\" have a priority");
   }
 }
 

@@ -9,7 +9,7 @@
 
 namespace rtdata::config_detail {
 
-/// Calls `use` for each text that the item has for a parameter, also those in lists and in objects below.
+/// Calls `use` for each text value of a parameter in the item, also in nested lists and objects.
 void for_each_text(
     const std::vector<ParameterInfo>& parameters, const ConfigItem& item,
     const std::function<void(const ParameterInfo& parameter, const std::string& text, const ConfigItem& at)>& use);

@@ -40,7 +40,7 @@ std::size_t next_token(std::string_view text, std::size_t from) {
   return from + scanner.offset() - size;
 }
 
-/// The end of the line, if only blanks and a comment stand there from `end` on; else `end`.
+/// The end of the line, if only blanks and a comment follow from `end` on; otherwise `end`.
 std::size_t end_of_line_with_comment(std::string_view text, std::size_t end) {
   const std::size_t line_end = text.find('\n', end);
   const std::string_view rest = text.substr(end, line_end == std::string_view::npos ? line_end : line_end - end);

@@ -68,7 +68,7 @@ Problem in_a_string(const JsonMistake& mistake, const TextScanner& before, const
       reason.starts_with("missing closing"))
     return problem(token.position, "this string is not closed: its second '\"' is missing on this line");
   return problem(before.position_of(mistake.bytes_read == 0 ? 0 : mistake.bytes_read - 1),
-                 "this character cannot stand in a string: " + std::string(reason));
+                 "this character cannot be in a string: " + std::string(reason));
 }
 
 Problem bad_word(const Token& token) {
@@ -147,8 +147,8 @@ Problem explain(const JsonMistake& mistake, TextScanner& scanner) {
   if (broken_token(mistake, before, token, broken)) return broken;
   if (mistake.after_key) return bad_value(mistake, token);
   if (!comma.text.empty()) {
-    if (is_closing(token)) return problem(comma.position, "there is a comma too many before " + shown(token));
-    if (token.text == ",") return problem(token.position, "there is a comma too many");
+    if (is_closing(token)) return problem(comma.position, "there is an extra comma before " + shown(token));
+    if (token.text == ",") return problem(token.position, "there is an extra comma");
     return mistake.in_object ? bad_key(mistake, token) : bad_value(mistake, token);
   }
   if (!mistake.after_value) return mistake.in_object ? bad_key(mistake, token) : bad_value(mistake, token);

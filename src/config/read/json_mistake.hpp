@@ -1,4 +1,4 @@
-/// Explains a mistake where the JSON library stops reading, for people. Private to src/config.
+/// Turns the error at which the JSON library stopped into a message for users. Private to src/config.
 #pragma once
 
 #include <string>
@@ -21,7 +21,7 @@ struct JsonMistake {
   ConfigBuilder::Position opened;  ///< where the innermost object or array begins
 };
 
-/// `scanner` stands after the last accepted token. The file and path of the result are empty.
+/// `scanner` is after the last accepted token. The file and path of the result are empty.
 Problem explain(const JsonMistake& mistake, TextScanner& scanner);
 
 }  // namespace rtdata

@@ -54,11 +54,11 @@ std::string mistake_in(std::string_view text, TextIs is) {
       const bool starts_well = !(text.front() >= '0' && text.front() <= '9');
       return starts_well && std::all_of(text.begin(), text.end(), is_good)
                  ? ""
-                 : "a field name has letters, digits and underscores and starts with no digit";
+                 : "a field name has letters, digits and underscores and does not start with a digit";
     }
     case TextIs::topic:
       if (!is_topic_name(text)) return topic_advice(text);
-      return text.starts_with("$") ? "topics that begin with $ are the library's own" : "";
+      return text.starts_with("$") ? "topics that begin with $ are reserved for the library" : "";
     case TextIs::topic_pattern:
       return is_topic_pattern(text) ? ""
                                     : "\"" + std::string(text) +
@@ -76,10 +76,11 @@ std::string mistake_in(std::string_view text, TextIs is) {
       }
       if (is == TextIs::device && is_windows_port(text))
         return "\"" + std::string(text) +
-               "\" is a name of Windows; here a serial device is such as /dev/ttyUSB0 or /dev/ttyACM0: `rtdata scan` "
+               "\" is a Windows name; here a serial device has a name such as /dev/ttyUSB0 or /dev/ttyACM0: `rtdata "
+               "scan` "
                "lists them";
-      if (text.find('\0') != std::string_view::npos) return "a path has no NUL byte";
-      return text.size() < 4096 ? "" : "a path has less than 4096 bytes";
+      if (text.find('\0') != std::string_view::npos) return "a path cannot have a NUL byte";
+      return text.size() < 4096 ? "" : "a path must have less than 4096 bytes";
   }
   return "";
 }
@@ -108,15 +109,15 @@ struct Elsewhere {
   std::string_view keys, known, advice;
 };
 constexpr std::string_view in_process =
-    "it belongs into `process`, below the field's name: {\"process\": "
+    "it belongs in `process`, below the field's name: {\"process\": "
     "{\"temperature\": {\"calibration\": {\"offset\": 0.5}}}}";
 constexpr std::string_view in_filters =
-    "filters belong into `process`, below the field's name: {\"process\": "
+    "filters belong in `process`, below the field's name: {\"process\": "
     "{\"temperature\": {\"filters\": [{\"type\": \"median\", \"of\": 5}]}}}";
 constexpr std::string_view on_bus =
     "a chip names its bus with `bus`, and the bus names its device: {\"buses\": "
     "{\"i2c1\": {\"type\": \"i2c\", \"device\": \"/dev/i2c-1\"}}}";
-constexpr std::string_view as_rate = "how often it is read is its `rate`, such as \"10 Hz\" or \"1/min\"";
+constexpr std::string_view as_rate = "set how often it is read with `rate`, such as \"10 Hz\" or \"1/min\"";
 constexpr std::string_view as_path = "the file is named by `path`";
 constexpr std::string_view as_line = "the GPIO line is named by `line`: its number, its name, or chip:line";
 constexpr std::string_view of_sensor = "it belongs to the sensor that is on this bus";
@@ -125,10 +126,10 @@ constexpr Elsewhere elsewhere[] = {
     {"calibration scale offset polynomial calibrate tare", "process", in_process},
     {"filters filter median mean average throttle delta clamp window", "process", in_filters},
     {"pin gpio", "line", as_line},
-    {"pin", "lines", "the GPIO lines stand in `lines`"},
+    {"pin", "lines", "the GPIO lines are listed in `lines`"},
     {"device port", "bus", on_bus},
     {"port", "device", "the device is named by `device`"},
-    {"bus", "device", "it is on no bus: the kernel's device is named by `device`"},
+    {"bus", "device", "it is not on a bus: the kernel's device is named by `device`"},
     {"interval period frequency every sampling_rate", "rate", as_rate},
     {"file filename", "path", as_path},
     {"topic", "topics", "a sink has `topics`, a list of patterns such as [\"room/+\"]"},

@@ -172,7 +172,7 @@ Json type_schema(const ParameterType& type) {
   return json;
 }
 
-/// The description for people: the phrase, then unit and range if the schema has no keyword for them.
+/// The description for users: the phrase, then unit and range if the schema has no keyword for them.
 std::string description_of(const ParameterInfo& parameter) {
   std::string text = parameter.doc;
   if (!parameter.unit.empty()) text += " (" + parameter.unit + ")";

@@ -92,7 +92,7 @@ std::size_t TypeRegistryBase::type_of(const ConfigItem& item, Problems& problems
     for (const std::size_t i : meant) several += (several.empty() ? "" : ", ") + infos[i].name;
     if (suggestion.empty() && !meant.empty()) listed = several;
   }
-  if (suggestion.empty()) message += listed.empty() ? "; there are none" : "; there are " + listed;
+  if (suggestion.empty()) message += listed.empty() ? "; there are none" : "; available: " + listed;
   problems.add(type->problem("unknown-type", std::move(message), std::move(suggestion)));
   return none;
 }

@@ -22,7 +22,7 @@ class CallbackSurvey {
 
   bool is_done() const noexcept { return done_.is_set(); }
   bool wait(Duration at_most) const noexcept { return done_.wait(at_most); }
-  /// Those that were called, in the order in which they were made. Once it is done.
+  /// The callbacks that were called, in the order in which they were made. Only after the survey.
   const std::vector<CallbackStatus>& callbacks() const noexcept { return callbacks_; }
 
  private:

@@ -14,7 +14,7 @@ class Deadline {
  public:
   /// Called when it is due: does the work, then sets a new `due` or removes itself from the heap.
   virtual void fire(MonotonicTime now) = 0;
-  /// True if `fire` would do nothing now: in virtual time it is skipped until something else is due.
+  /// True if `fire` would do nothing now. Virtual time then skips this deadline until another one is due.
   virtual bool is_idle() const noexcept { return false; }
   /// Sets `due` to its first instant from `at` on; earlier ones are not counted.
   virtual void leave_out_until(MonotonicTime) noexcept {}

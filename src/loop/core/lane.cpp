@@ -211,7 +211,7 @@ void Lane::look_at_health(LaneJob::Outcome outcome, Duration limit) {
   Health now = health_;
   if (outcome == LaneJob::Outcome::given_up) now = is_stuck() ? Health::faulted : Health::degraded;
   if (outcome == LaneJob::Outcome::finished) now = abandoned_threads() > 0 ? Health::degraded : Health::ok;
-  set_health(now, "a job outlived its limit of ", limit, " and was given up");
+  set_health(now, "a job took longer than its limit of ", limit, " and was given up");
 }
 
 void Lane::set_health(Health now, const char* why, Duration limit, const char* what) {

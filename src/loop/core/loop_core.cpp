@@ -143,8 +143,7 @@ bool LoopCore::is_in_user_code() const noexcept {
 
 void LoopCore::report_exception(std::string_view name, const char* what) noexcept {
   try {
-    runtime.report(this, name,
-                   {Errc::handler_threw, "a callback threw", "", what, "the callback goes on being called"});
+    runtime.report(this, name, {Errc::handler_threw, "a callback threw", "", what, "the callback is still called"});
   } catch (...) {  // the report failed: out of memory, or its handler threw; there is no other way to report
   }
 }
@@ -178,7 +177,7 @@ void LoopCore::check_not_ending(const char* what) const {
   if (!is_ending_) return;
   throw SetupError(
       {Errc::busy, what, "loop " + config.name, "it is being destroyed",
-       "make and run nothing in code that runs while a loop ends: destructors of captures, `close` of devices"});
+       "do not make or run anything in code that runs while a loop ends: destructors of captures, `close` of devices"});
 }
 
 void LoopCore::dispose_later(Node& node) noexcept {

@@ -246,7 +246,7 @@ class LoopCore {
   void call_there(Callback<void()> function, Begun begun);
   /// Waits until the call is done, or gives it up after `at_most`.
   Called wait_for(CallThere& call, Duration at_most, Begun begun);
-  /// The running callback, for people.
+  /// The running callback, as text for messages.
   std::string where() const;
   void post_disposal(Node& node, Error why) noexcept;
   [[noreturn, gnu::cold]] void refuse_thread(const char* what, std::string_view object) const;

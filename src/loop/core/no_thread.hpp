@@ -10,8 +10,8 @@ namespace rtdata::detail {
 
 inline Error no_thread(std::string what, std::string where) {
   return {Errc::io_failed, std::move(what), std::move(where), "the system gives no thread",
-          "raise the limit of threads: of a shell `ulimit -u`, of a service `TasksMax=`; or that of memory, of which "
-          "each takes some: `ulimit -v`, `MemoryMax=`"};
+          "raise the thread limit (in a shell `ulimit -u`, of a service `TasksMax=`) or the memory limit (`ulimit -v`, "
+          "`MemoryMax=`)"};
 }
 
 }  // namespace rtdata::detail

@@ -48,7 +48,7 @@ void Posts::take() {
     loop_.call_own("loop", [&] {
       loop_.runtime.report(&loop_, "loop " + loop_.config.name,
                            {Errc::backlog, std::to_string(taken_.size()) + " posted functions wait", "",
-                            "they come faster than the loop runs them, or it was held",
+                            "they come faster than the loop runs them, or the loop was held",
                             "post one function for many changes, or look at LoopStatus::posts before posting more"});
     });
   }

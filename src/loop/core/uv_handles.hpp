@@ -38,7 +38,7 @@ class UvHandles {
   /// libuv does not wait until `allow_sleep`.
   void forbid_sleep() noexcept;
   void allow_sleep() noexcept;
-  /// libuv's run goes on until `unref`.
+  /// libuv's run continues until `unref`.
   void ref() noexcept;
   void unref() noexcept;
 

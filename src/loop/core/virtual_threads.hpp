@@ -23,7 +23,7 @@
 
 namespace rtdata::detail {
 
-/// Owner: the main loop's core. Thread: the one with the turn, unless stated.
+/// Owner: the main loop's core. Called by the thread that may run now, unless a function says otherwise.
 class VirtualThreads {
  public:
   /// One virtual thread. Owned by the tier; it must outlive the thread.
@@ -74,7 +74,7 @@ class VirtualThreads {
   void preempt() noexcept;
   /// A random additional delay; 0 without a seed.
   Duration choose_delay() noexcept;
-  /// Without a seed: false.
+  /// False without a seed.
   bool choose() noexcept { return seed_ != 0 && random_() % 2 == 0; }
 
  private:

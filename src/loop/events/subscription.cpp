@@ -60,8 +60,7 @@ bool SubscriptionNode::report_times(CallbackStatus& status) const {
 
 void SubscriptionNode::report_exception(const char* what) noexcept {
   try {
-    runtime_->report(loop(), name,
-                     {Errc::handler_threw, "a handler threw", "", what, "the handler goes on being called"});
+    runtime_->report(loop(), name, {Errc::handler_threw, "a handler threw", "", what, "the handler is still called"});
   } catch (...) {  // the report itself failed
   }
 }

@@ -274,7 +274,7 @@ MonotonicTime TopicCore::deliver_group(LoopCore& loop, MonotonicTime begin, Mono
     SubscriptionNode* node = links_[i].node;
     if (node == nullptr || links_[i].next >= end) continue;
     if (from != begin && loop.deliveries.must_pause(from, time_limit)) {
-      is_complete = false;  // the next call goes on with this handler
+      is_complete = false;  // the next call continues with this handler
       break;
     }
     const std::uint64_t next = links_[i].next;

@@ -93,7 +93,7 @@ class TopicCore final : public DeliveryQueue {
     std::erase(channels_in_, &channel);
     followers_changed();
   }
-  /// Call it when subscribers or sinks may have changed. Tells other loops if this one wants their events.
+  /// Call it when subscribers or sinks may have changed. Tells other loops if this one needs their events.
   void followers_changed() noexcept;
   /// Call it when the origin's passage over a channel was made.
   void find_way(OriginCore& origin) noexcept;

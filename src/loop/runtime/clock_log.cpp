@@ -86,7 +86,7 @@ bool ClockLog::look(const char* occasion) {
   if (was_set) {
     runtime_.log(LogLevel::warning, "clock",
                  "the time of day was set by " + to_string(difference(last_offset_, offset)) +
-                     "; recorded times go on without a jump, the step is recorded");
+                     "; recorded times continue without a jump, the step is recorded");
     last_offset_ = offset;
     // The clock was right until now (a leap second, a suspended machine): records its last value before the step.
     if (system_.latest.accuracy && system_.latest.monotonic > system_.recorded.monotonic)
@@ -118,7 +118,7 @@ Result<void> ClockLog::note_wall_clock(ClockPair pair) {
   }
   if (pair.accuracy && *pair.accuracy <= Duration{0}) {
     return refused(Errc::bad_argument, "its accuracy is not above 0",
-                   "say how far the time may be from UTC, or leave it out");
+                   "give the largest possible difference from UTC, or none");
   }
   if (RuntimeCore* main = runtime_.hub) {  // the main loop's recordings keep the clock
     main->own_loop->post([main, pair] { [[maybe_unused]] const auto noted = main->clock_log.note_wall_clock(pair); });

@@ -22,14 +22,14 @@ class Configurations {
   /// Adds a part ("sensor chamber") with its item.
   void add(std::string object, std::string text);
   void remove(std::string object);
-  /// Sets what recordings are told of a sensor beside its item, such as its processing; empty: nothing. For a sensor on
-  /// a tier, the main loop stores it.
+  /// Sets the text that recordings get about a sensor besides its item, such as its processing; empty: none. For a
+  /// sensor on a tier, the main loop stores it.
   void set_told(std::string object, std::string text);
 
   /// The whole text, and the valid changes since in order of time, for a recording that begins.
   const std::string& whole() const noexcept { return state_.whole; }
   std::vector<ConfigurationChange> changes() const;
-  /// What holds of that, by object.
+  /// The current texts, by object.
   const std::map<std::string, ConfigurationChange>& told() const noexcept { return told_; }
 
   struct Entry {
@@ -38,7 +38,7 @@ class Configurations {
   };
   struct State {
     std::string whole;
-    std::map<std::string, Entry> changes;  ///< by object: so many as there are parts
+    std::map<std::string, Entry> changes;  ///< by object: at most as many as there are parts
   };
   const State& state() const noexcept { return state_; }
   /// Restores an earlier state; recordings store the text and each of its changes.

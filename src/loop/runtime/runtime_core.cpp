@@ -83,7 +83,7 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
         (have.description == nullptr && have.type_key != type.type_key)) {
       throw SetupError({Errc::description_differs, "cannot use topic", std::string(name),
                         "the topic carries " + payload_name(have) + ", but " + payload_name(type) + " is meant here",
-                        "use one type a topic"});
+                        "use one type per topic"});
     }
     if (have.description != nullptr && have.description != type.description) {
       if (!have.description->same_meaning(*type.description)) {

@@ -73,7 +73,7 @@ class RuntimeCore {
   const std::string& run_uuid();
   /// The uuid of the run in a recording: the same in the first, and another in each later one.
   std::string uuid_for_recording();
-  /// Whether it is that of a run in a recording of this program.
+  /// True if it belongs to a run in a recording of this program.
   bool has_recorded(const std::string& uuid) const;
   Clock& clock() noexcept { return clock_log.clock(); }
   bool has_injected_clock() const noexcept { return config.clock != nullptr; }
@@ -145,9 +145,9 @@ class RuntimeCore {
   RuntimeCore& main() noexcept { return hub != nullptr ? *hub : *this; }
   /// Main loop only: starts tiers that were never started. SetupError.
   void start_tiers();
-  /// The same, but reports the error and does not try again in each turn.
+  /// Like `start_tiers`, but reports an error instead of throwing it, and tries only once.
   void start_tiers_in_turn() noexcept;
-  /// The tier that still uses the loop, for people; empty: none.
+  /// The tier that still uses the loop, as text for messages; empty: none.
   std::string user_of_loop() const;
   /// Takes data that other loops sent before the call. May report, as the next function.
   void receive() {

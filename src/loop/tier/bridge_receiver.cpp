@@ -88,7 +88,7 @@ bool BridgeReceiver::take_seen() {
 
 void BridgeReceiver::take_events(const EventRecord& first, Passage& passage) {
   const std::size_t stride = first.bytes;
-  // Those of the same sensor behind it.
+  // Later ones of the same sensor.
   const std::size_t most = std::min<std::size_t>(ring_.straight_bytes() / stride, 64);
   const auto* at = reinterpret_cast<const std::byte*>(&first);
   std::size_t count = 1;

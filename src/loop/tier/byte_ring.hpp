@@ -41,7 +41,7 @@ class ByteRing {
   std::byte* reserve_at_hand(std::size_t bytes) noexcept {
     return straight_to_ - at_ >= static_cast<std::ptrdiff_t>(bytes) ? at_ : nullptr;
   }
-  // Lines of cache come from the other side's processor: they are asked for some records before they are needed.
+  // Cache lines come from the other side's processor: they are prefetched some records before they are needed.
   static void fetch_for_writing(const std::byte* record) noexcept { __builtin_prefetch(record + fetched_ahead, 1); }
   static void fetch_for_reading(const std::byte* record) noexcept { __builtin_prefetch(record + fetched_ahead, 0); }
   /// The record reserved last, of as many bytes, is complete.
@@ -53,7 +53,7 @@ class ByteRing {
   }
   std::size_t published() const noexcept { return published_; }
   bool has_unpublished() const noexcept { return head() != published_; }
-  /// Whether the unpublished records and `bytes` more are enough to publish and wake the reader for.
+  /// True if the unpublished records and `bytes` more are enough to publish them and wake the reader.
   bool completes_burst(std::size_t bytes) const noexcept { return head() + bytes - published_ > burst_; }
   /// A longer record may not fit even into an empty ring.
   std::size_t longest_record() const noexcept { return (mask_ + 1 - kept_) / 2; }
@@ -100,11 +100,12 @@ class ByteRing {
       if (is_beyond(end + kept, known_room_to_)) return false;
     }
     if (is_at_end) {
-      if (to_end > 0) size_at(size - to_end) = 0;  // the reader goes on at the beginning
+      if (to_end > 0) size_at(size - to_end) = 0;  // the reader continues at the beginning
       lap_ += size;
       at_ = memory_;
     }
-    // Of the end of the lap, of what is known to be free, and of the burst; a burst may begin in the lap before.
+    // The limit: the end of the lap, the known free space and the end of the burst; a burst may begin in the previous
+    // lap.
     const std::ptrdiff_t to = std::min(
         {static_cast<std::ptrdiff_t>(size), apart(known_room_to_ - kept_, lap_), apart(published_ + burst_, lap_)});
     straight_to_ = memory_ + std::max<std::ptrdiff_t>(to, 0);

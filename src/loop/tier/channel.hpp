@@ -1,5 +1,5 @@
 // A topic and its origins on their way over a bridge. The sending and the receiving side of each have fields of their
-// own, used by the thread of their loop alone; what both sides read never changes, but for one atomic flag.
+// own, used by the thread of their loop alone; what both sides read never changes, except one atomic flag.
 #pragma once
 
 #include <atomic>
@@ -42,7 +42,7 @@ struct Passage {
 
   struct Sending {
     OriginCore* source;
-    Drops drops{};                       // for want of room in the ring
+    Drops drops{};                       // because the ring had no room
     std::uint64_t reported_dropped = 0;  // of these, those reported to the other side
     AccountSummary last_account = {};
   } sending;

@@ -20,7 +20,7 @@ inline std::string list_of(const cpu_set_t& set) {
   return list;
 }
 
-/// Those that a thread of this process may be bound to. They may be more than it runs on: those kept free by
+/// The processors that a thread of this process may be bound to. These may be more than it runs on: those kept free by
 /// `isolcpus`, or by `taskset`.
 inline cpu_set_t bindable_processors() noexcept {
   cpu_set_t own, all;

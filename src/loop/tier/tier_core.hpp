@@ -33,7 +33,7 @@ class TierCore {
   void stop() noexcept;
   /// The same, but waits at most this long; false: the running callback has not returned.
   bool stop_within(Duration at_most) noexcept;
-  /// The callback that it is in, for people: "sensor chamber".
+  /// The callback that it is in, as text for messages: "sensor chamber".
   std::string where();
   bool is_running() noexcept;
   /// It runs, and this is its thread.

@@ -16,7 +16,7 @@
 namespace rtdata {
 namespace {
 
-/// Why the descriptor cannot be written; empty: it can.
+/// The reason why the descriptor cannot be written; empty: it can.
 const char* obstacle(int descriptor) {
   const int flags = ::fcntl(descriptor, F_GETFL);
   return flags < 0 ? "it is not open" : (flags & O_ACCMODE) == O_RDONLY ? "it is open for reading only" : "";
@@ -38,7 +38,7 @@ class ConsoleWriter final : public Writer {
   Result<void> open() override { return {}; }
 
   Result<void> write(Batch& batch) override {
-    if (text_.empty()) {  // else the same batch is given again
+    if (text_.empty()) {  // otherwise it is the same batch again
       for (const Record& record : batch) append(record);
     }
     const detail::NoSigpipe guard;

@@ -6,7 +6,7 @@
 namespace rtdata::detail {
 
 std::string obstacle_of_format(const std::string& format) {
-  return format == "csv" ? "rows of csv do not say which topic they are of: choose another format" : "";
+  return format == "csv" ? "CSV rows do not contain the topic: choose another format" : "";
 }
 
 void add_obstacle(std::string why, const char* key, const ConfigItem& item, Problems& problems) {

@@ -21,7 +21,7 @@ struct RowFeedConfig {
   From from = From::now;
   /// The times of its rows: as recorded, or UTC as known when they are read.
   enum class Times { recorded, utc } times = Times::recorded;
-  std::size_t rows = 0;  ///< put into the queue at a time, about
+  std::size_t rows = 0;  ///< about how many are put into the queue at a time
 };
 
 /// Rows, since the sink was attached.

@@ -38,20 +38,20 @@ class SinkAccount {
   void look_at_runs() {
     for (const auto& tap : taps_) tap->look_at_run();
   }
-  /// Takes none any more.
+  /// Takes no more events.
   void end() noexcept;
 
-  /// Records the gaps under way as ended. Those of another loop end there.
+  /// Records the current gaps as ended. Those of another loop end there.
   void close_gaps() noexcept;
 
   void add(OriginCore& origin, const Gap& gap);
   void add(OriginCore& origin, const Segment& segment);
   /// True if there is a schedule, whose ticks change the account even without events.
   bool goes_on_by_itself() const noexcept;
-  SinkNotes notes;  ///< what else is to be recorded
+  SinkNotes notes;  ///< other data to record
 
   /// A part of the account, or all, for origins that changed since the last one.
-  enum class Part { first, next, last };  // the last one is of all origins, in one go
+  enum class Part { first, next, last };  // the last one has all origins at once
   struct Enqueued {
     bool is_something = false;  ///< there was something to account for, and the queue has it
     bool has_more = false;      ///< another part follows
@@ -73,7 +73,7 @@ class SinkAccount {
   const std::shared_ptr<SinkQueue> queue_;
   std::vector<std::unique_ptr<SinkTap>> taps_;
   std::unordered_map<const TopicCore*, SinkTap*> tap_of_;
-  std::set<std::string, std::less<>> awaited_;  // topics that others are made of, and that are not there yet
+  std::set<std::string, std::less<>> awaited_;  // source topics that do not exist yet
   bool is_follow_due_ = false;
   std::uint64_t accounts_ = 0;  // handed over
   std::size_t next_topic_ = 0;  // where the next part begins

@@ -13,7 +13,7 @@ constexpr Duration early_after = std::chrono::milliseconds{10};
 }  // namespace
 
 bool SinkNode::is_account_worth_it() const noexcept {
-  constexpr std::uint64_t events_an_origin = 50;  // so that accounts of many do not outweigh what they account for
+  constexpr std::uint64_t events_an_origin = 50;  // so that accounts are not larger than their events
   const StorePace& pace = queue_->pace();
   const std::uint64_t slots = queue_->slot_count();
   return pace.account_time.count() == 0 || !account_.notes.is_empty() || slots != reported_slots_ ||
@@ -31,12 +31,12 @@ void SinkNode::set_account_timer() {
   }
 }
 
-/// As when it was attached: what tiers have counted before belongs to no recording.
+/// As at attaching: what tiers counted before does not belong to this recording.
 void SinkNode::follow_timer_fired() {
   if (life_ != Life::attached) return;
   const std::string unknown = loop()->runtime.exchange.catch_up(std::chrono::seconds{1});
   if (!unknown.empty())
-    unknown_ += (unknown_.empty() ? "" : "; ") + ("the sink took more accounts although " + unknown);
+    unknown_ += (unknown_.empty() ? "" : "; ") + ("the sink added accounts to its ledger, although " + unknown);
   if (life_ == Life::attached) account_.follow_all(*this);
 }
 
@@ -74,7 +74,7 @@ bool SinkNode::begin_account() {
 }
 
 bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
-  if (!queue_->keeps_account()) {  // of a sink that is fed, the recording has it
+  if (!queue_->keeps_account()) {  // for a sink that is fed, the recording has it
     is_last_reported_ = part == SinkAccount::Part::last;
     return false;
   }
@@ -85,7 +85,7 @@ bool SinkNode::enqueue_account(SinkAccount::Part part) noexcept try {
     loop()->runtime.keep_report(
         loop(), object_name(),
         {Errc::io_failed, "not kept", config_.name, "there was no memory for some of its account",
-         "the recording says that it does not know"});
+         "the recording marks these counts as unknown"});
     had_no_memory_ = false;
   }
   const Time now = loop()->runtime.clock_log.end(loop()->now());

@@ -127,7 +127,7 @@ std::uint64_t SinkNode::leave() noexcept {
                       config_.name, "they could not be stored before the deadline" + why,
                       queue_->sender() != nullptr
                           ? "check the peer; with `through` events wait in a recording"
-                          : "check the storage; of a recording, the next start writes down what was lost"});
+                          : "check the storage; for a recording, the next start writes down what was lost"});
     } else if (!is_closed && !is_fed()) {
       runtime.report(loop(), object_name(),
                      {Errc::timed_out, "not closed", config_.name, "there was no time or no memory for its end" + why,

@@ -59,7 +59,7 @@ bool SinkQueue::gather() {
   const std::size_t window_rows = sender_ != nullptr ? sending_.window * sending_.parcel_rows : 0;
   const std::size_t enough_rows = pace_.bytes == 0 ? std::max(config_.batch_rows, window_rows) : 1;
   bool has_all = false;                     // all before the account has been gathered, or was taken back by the loop
-  const bool takes_all = feed_ != nullptr;  // what a recording gave at a time is settled together
+  const bool takes_all = feed_ != nullptr;  // rows that a recording gave together are settled together
   while ((takes_all || batch_.rows_ < enough_rows || batch_.chunks_.size() < most_chunks_) && !has_all) {
     ChunkHeader* chunk = next_queued(before);
     has_all = chunk == nullptr || taken_ticket_ + 1 == before;
@@ -158,7 +158,7 @@ bool SinkQueue::is_abandoned() {
 
 Result<void> SinkQueue::open() {
   if (has_ended_ || is_open_) return {};
-  // Each time, so that what waits is known while the peer is away.
+  // Each time, so that the backlog is known while the peer is away.
   if (feed_ != nullptr) {
     if (auto attached = call_writer([this] { return feed_->attach(); }); !attached) return attached;
   }

@@ -52,7 +52,7 @@ void SinkNode::attach() {
   const Exchange::Interest until_all_is_attached(runtime, config_.topics);
   const std::string unknown = runtime.exchange.catch_up(std::chrono::seconds{1});
   if (!unknown.empty()) unknown_ = "the sink began although " + unknown;
-  // In place of one that was closed, it refuses a topic as that one did which came while it was there.
+  // If it replaces a closed sink, it refuses topics that came meanwhile as that one did.
   std::vector<std::pair<TopicCore*, Error>> refused;
   for (const auto& topic : runtime.topics()) {
     auto taken = take_topic(*topic);

@@ -1,5 +1,5 @@
 // The implementation of Sink: takes events and the accounts of their origins on the loop; its lane stores them.
-// Loop's thread, but for the job's `run`.
+// Loop's thread, except the job's `run`.
 #pragma once
 
 #include <cstdint>
@@ -48,7 +48,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void finish(Callback<void(std::uint64_t)> done) {
     drain(later(loop()->now(), config_.close_deadline), std::move(done));
   }
-  /// Those of this name that are made from here on are `held` until it has ended.
+  /// Sinks of this name that are made from now on are `held` until this one has ended.
   void end_before(const std::string& successor) { comes_before_.push_back(successor); }
   bool wants(std::string_view topic) const noexcept override;
   SinkNode* as_sink() noexcept override { return this; }
@@ -91,11 +91,11 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   enum class Life {
     made,      // not on the runtime yet, or could not be opened
     attached,  // takes events
-    closing,   // takes none any more; what is left is stored
+    closing,   // takes no more events; the queued ones are stored
     closed,    // the writer is closed
     left,      // off the runtime: the last counts hold
   };
-  /// What the lane is doing.
+  /// The state of the lane.
   enum class Work {
     idle,
     opening,
@@ -103,7 +103,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
     sending,             // nothing: the loop sends what it has encoded
     waiting,             // for the retry after an error
     waiting_for_thread,  // the same, after the system gave none
-    held,                // until those have ended that have what it is to open
+    held,                // until the sinks have ended that use its file
   };
   /// A job of the lane. Shared with the lane's thread, which may be abandoned with it.
   class Job final : public LaneJob {
@@ -150,14 +150,14 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   }
 
   // ---- health and reports: sink_node.cpp
-  /// What will not get better: the first reason stays.
+  /// Sets a permanent fault: the first reason stays.
   void fault_for_good(const std::string& reason) noexcept;
   void set_reason(const Error& error) noexcept;
   void report_health();
   void report(const Error& error, std::uint64_t count) noexcept;
 
   // ---- the account: sink_accounting.cpp
-  /// Storing an account costs some pages however little it says: while nothing but counts go on, one is made now and
+  /// Storing an account costs some pages, however little it contains: while only counts change, one is made now and
   /// then.
   bool is_account_worth_it() const noexcept;
   /// Queues the account of all changes since the last one, or its first part; the others follow. False: nothing was
@@ -200,21 +200,21 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void follow_recording();
   void take_over(const std::string& recording) noexcept;
   void leave_recording() noexcept;
-  /// Of a recording: the sinks that go through it get no more rows.
+  /// For a recording: the sinks that go through it get no more rows.
   void leave_followers(const char* why) noexcept;
   void commit_within(Duration time);
   /// The recording has committed something.
   void rows_came();
   void note_backlog() noexcept;
-  /// Of a recording: tells those that go through it.
+  /// For a recording: tells the sinks that go through it.
   void notify_followers();
   void give_up();
-  /// Of a recording that closes: nothing more is committed until the last account. Of one that others still go
-  /// through, this is not yet due.
+  /// For a recording that closes: nothing more is committed until the last account. Not yet due while others still go
+  /// through it.
   bool is_end_due() const noexcept { return followers_.empty(); }
 
   // ---- closing: sink_closing.cpp
-  /// Those that are to end before it opens anything.
+  /// The sinks that must end before this one opens anything.
   void wait_for_predecessors();
   void release_successors() noexcept;
   /// Takes no event from here on, and hands over what is left.
@@ -223,7 +223,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   /// Takes the sink off the runtime, counting what was not stored as refused.
   std::uint64_t leave() noexcept;
   void on_close() noexcept override;
-  /// The lane waits, so that the deadline ends that too.
+  /// The lane waits, so the deadline also ends this wait.
   void pause_before_storing(Duration duration);
   void drop_callbacks() noexcept override {
     on_error_.reset();
@@ -240,7 +240,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   Timer work_timer_;  // while the lane waits: tries again; while it opens: tells that this takes long
   Timer account_timer_;
   Timer deadline_;  // the deadline of a drain
-  Timer follow_;    // for what its topics are made of, when tiers have counted some of it already
+  Timer follow_;    // for source topics, when tiers have counted some of them already
 
   // storing
   bool is_to_open_;                              // in a turn of its own, before anything is stored
@@ -250,7 +250,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   bool is_due_ = false;                          // rows are to be handed over as soon as the lane is free
   std::optional<MonotonicTime> unsynced_since_;  // the first storing since the last sync
   std::vector<Callback<void()>> syncs_;          // that are waited for
-  std::size_t syncs_begun_ = 0;                  // of these, what the turn of work that runs does
+  std::size_t syncs_begun_ = 0;                  // how many of these the current turn of work does
 
   // account
   bool is_between_parts_ = false;          // of an account
@@ -262,7 +262,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   std::uint64_t reported_slots_ = 0;  // the number of slots in the latest account
   bool had_no_news_ = false;          // there was nothing to say in it
   std::uint64_t reported_rows_ = 0;   // of those since the account before it, which are in it
-  std::string unknown_;               // what the latest account cannot know
+  std::string unknown_;               // what is unknown in the latest account
   bool had_no_memory_ = false;        // an entry of the next account could not be allocated
 
   // health
@@ -270,11 +270,11 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   Health published_health_ = Health::ok;  // as last published
   std::string reason_;
   std::error_code obstacle_;             // of the last try
-  std::string fault_;                    // why it stays faulted: it wants a topic that it cannot take
+  std::string fault_;                    // why it stays faulted: a topic that it cannot take matches its patterns
   bool error_already_reported_ = false;  // the last error is the same as the one before it
 
   // sending
-  std::shared_ptr<Transfer> transfer_;  // null: the writer is no Sender
+  std::shared_ptr<Transfer> transfer_;  // null: the writer is not a Sender
   Duration to_utc_{0};                  // from recorded times, of a sender that goes from memory
 
   // through a recording
@@ -284,7 +284,7 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   bool has_all_rows_ = false;         // the recording closes, and all rows are committed
   bool has_given_up_ = false;         // it closes, its peer is away, and the recording has not all rows yet
   bool are_positions_due_ = false;    // of followers: to be stored with the next batch
-  CatchUp catch_up_;                  // with what waits in its recording
+  CatchUp catch_up_;                  // of the backlog in its recording
 
   // the end
   std::vector<std::string> comes_before_;               // names

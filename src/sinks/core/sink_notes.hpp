@@ -21,7 +21,7 @@ class SinkNotes {
   static constexpr std::size_t most_configurations = 1024;
   static constexpr std::size_t most_configuration_bytes = std::size_t{16} << 20;
   static constexpr std::size_t most_made_of = 16384;
-  static constexpr std::size_t most_errors = 512;  // from the half of it on, those alike are counted
+  static constexpr std::size_t most_errors = 512;  // from half of it on, equal errors are counted
 
   void add(std::uint32_t slot, const Gap& gap, std::size_t slots) {
     std::uint32_t& last = last_gap(slot);
@@ -64,7 +64,7 @@ class SinkNotes {
   }
 
   void add(const ClockPair& pair) {
-    if (clock_.size() == most_clock_pairs) {  // the newest tells most of what comes after it
+    if (clock_.size() == most_clock_pairs) {  // the newest says most about later times
       ++lost_clock_pairs_;
       clock_.pop_back();
     }
@@ -86,7 +86,7 @@ class SinkNotes {
     configurations_.push_back(change);
     configuration_bytes_ += bytes;
   }
-  /// What the events of a slot are made of, from here on.
+  /// Sets the source topics of a slot's events, from now on.
   void add_made_of(std::uint32_t slot, std::string topics) {
     if (made_of_.size() == most_made_of) {
       ++lost_made_of_;
@@ -102,7 +102,7 @@ class SinkNotes {
 
   /// Adds an error for data that did not fit; throws without memory, so `move_into` must not do this.
   void report_lost(Time at) {
-    report_lost(at, lost_segments_, "stretches of schedule");
+    report_lost(at, lost_segments_, "segments of schedules");
     report_lost(at, lost_errors_, "errors");
     report_lost(at, lost_clock_pairs_, "pairs of clocks");
     report_lost(at, lost_health_changes_, "changes of health");

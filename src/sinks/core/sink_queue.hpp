@@ -90,7 +90,7 @@ struct SinkTurn {
   enum class Task {
     open,
     store,
-    store_and_sync,   ///< what was stored is to survive a power cut
+    store_and_sync,   ///< makes stored data survive a power cut
     store_and_close,  ///< nothing follows
   };
   Task task = Task::store;
@@ -138,16 +138,16 @@ class SinkQueue {
   }
   /// Queues the chunk being filled. False when nothing has come since the last call.
   bool hand_over();
-  /// Some wait for that.
+  /// True if rows wait to be handed over.
   bool has_rows() const noexcept { return full_chunks_ != 0 || (filling_ != nullptr && filling_->rows != 0); }
   /// True if a full batch, or half of the queue, is waiting.
   bool is_batch_due() const noexcept { return rows_since_handover_ >= due_rows_ || full_chunks_ >= due_chunks_; }
   const StorePace& pace() const noexcept { return pace_; }
-  /// Handed over since the last account was.
+  /// Rows handed over since the last account.
   std::uint64_t rows_since_account() const noexcept { return rows_since_account_; }
   /// True if `next_account` may be filled. Otherwise all but one are queued; that one is reserved for the end.
   bool has_account() const noexcept;
-  /// None is on its way: all that were handed over are stored.
+  /// True if no account is on its way: all that were handed over are stored.
   bool has_stored_accounts() const noexcept {
     for (const AccountBox& box : accounts_) {
       if (box.after_ticket.load(std::memory_order_acquire) != 0) return false;
@@ -174,24 +174,24 @@ class SinkQueue {
   enum class Queued { waits, lost };
   std::vector<TopicDrops> dropped_by_topic(Queued queued) const;
   bool is_idle() const noexcept;
-  /// Whether the writer is opened in a turn of its own, from set-up on.
+  /// True if the writer is opened in a separate turn, from set-up on.
   bool opens_at_set_up() const noexcept { return opens_at_set_up_; }
-  /// What the writer says of a topic.
+  /// The answer of the writer about a topic.
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) {
     return recording_ != nullptr ? recording_->add_topic(number, topic, description) : Result<void>{};
   }
   /// The writer has been opened at set-up: moves the counts of all slots to where it keeps them.
   void move_counts() noexcept;
-  /// All that was counted before is there.
+  /// All earlier counts are in the writer's memory.
   void begin_counting() noexcept;
   void keep(const OriginAccount& now, const Gap* closed) noexcept;
   /// The error of one of these calls that was not reported yet.
   std::optional<Error> take_set_up_error() noexcept { return std::exchange(set_up_error_, std::nullopt); }
-  /// From here on the counts of the loop lie here, not with the writer, which may be closed.
+  /// From now on the loop counts here, not in the writer's memory, which may be closed.
   void keep_own_counts() noexcept;
   /// After this returns, the lane begins and counts no more batches.
   void abandon();
-  /// Null: the writer is none.
+  /// Null: the writer is not a Sender.
   Sender* sender() const noexcept { return sender_; }
   /// From here on the rows come from a recording, on the lane.
   void feed_from(std::unique_ptr<RowFeed> feed) {
@@ -208,9 +208,9 @@ class SinkQueue {
   bool keeps_account() const noexcept { return recording_ != nullptr && feed_ == nullptr; }
   bool is_recording() const noexcept { return recording_ != nullptr && recording_->is_recording(); }
   std::string run() const { return recording_ != nullptr ? recording_->run() : std::string(); }
-  /// Of a recording that was closed.
+  /// For a recording that was closed.
   std::shared_ptr<const RunReport> recorded() const { return recording_ != nullptr ? recording_->recorded() : nullptr; }
-  /// For a sink that goes through this recording; null: this is none.
+  /// For a sink that goes through this recording; null: this is not a recording.
   std::unique_ptr<RowFeed> make_feed(const RowFeedConfig& config) {
     return recording_ != nullptr ? recording_->feed(config) : nullptr;
   }
@@ -227,11 +227,11 @@ class SinkQueue {
   void settle(std::size_t parcel, std::size_t first, std::size_t last, std::span<const RefusedRow> refused) noexcept;
   /// All parcels are settled.
   void end_sending() noexcept;
-  /// What was refused since the last call: how many, and the first reason.
+  /// The refusals since the last call: how many, and the first reason.
   std::uint64_t take_refusals(Error& why);
 
   // ---- lane (sink_lane.cpp)
-  /// An error leaves what is queued there, unless it is `closed`: then all that comes is refused.
+  /// An error leaves what is queued there, unless it is `closed`: then all later events are refused.
   SinkTurnResult work(const SinkTurn& turn) noexcept;
   void note_refusal(std::uint32_t slot, std::uint64_t sequence, const Error& why);
   /// A topic of the batch can never be stored.

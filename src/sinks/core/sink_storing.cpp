@@ -19,7 +19,7 @@ void SinkNode::hand_over(Hand what) {
   if (is_closing()) return;
   if (is_fed()) return rows_came();
   bool has_rows = false;
-  if (work_ != Work::idle) {  // the chunk goes on filling
+  if (work_ != Work::idle) {  // the chunk fills further
     is_due_ = true;
   } else {
     has_rows = queue_->hand_over();
@@ -39,7 +39,7 @@ void SinkNode::sync(Callback<void()> done) {
   start_work();
 }
 
-/// Those that the turn of work which has ended was to do, if it did.
+/// The syncs of the turn of work that has ended, if it did them.
 std::vector<Callback<void()>> SinkNode::take_synced(const SinkTurnResult& turn) {
   std::vector<Callback<void()>> done;
   const auto end = syncs_.begin() + static_cast<std::ptrdiff_t>(std::exchange(syncs_begun_, 0));
@@ -62,7 +62,7 @@ SinkTurn::Task SinkNode::next_task() const noexcept {
   return is_sync_due() ? SinkTurn::Task::store_and_sync : SinkTurn::Task::store;
 }
 
-/// By the clock as it is now, which may have been set since the start. What it moves by less is the loop's own line.
+/// By the current clock, which may have been set since the start. Smaller moves are part of the loop's own line.
 Duration SinkNode::to_utc() noexcept {
   constexpr Duration least = std::chrono::milliseconds{1};
   RuntimeCore& runtime = loop()->runtime;
@@ -157,7 +157,7 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
   if (outcome == LaneJob::Outcome::finished && is_attached()) {  // else too late: counted as lost
     const SinkTurnResult turn = std::exchange(job_->result, {});
     synced = take_synced(turn);
-    // A full disk is no mistake of whoever made it: it is tried again, as later.
+    // A full disk is not a mistake of the user: it is tried again, as later.
     if (is_setting_up_ && !turn.result && turn.result.error().code != Errc::storage_full) {
       set_up_error_ = turn.result.error();
       return;

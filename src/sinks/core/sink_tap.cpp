@@ -12,7 +12,7 @@
 namespace rtdata::detail {
 namespace {
 
-/// What was counted from `before` on; what is in flight is so now.
+/// The counts since `before`; `in_flight` is the current one.
 SensorCounts since(const SensorCounts& before, SensorCounts now) {
   static_assert(sizeof now == 14 * sizeof(std::uint64_t) + 8, "each count but in_flight is here");
   now.scheduled -= before.scheduled;

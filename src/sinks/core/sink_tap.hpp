@@ -34,7 +34,7 @@ class SinkTap final : public Tap {
   void note_ended(const OriginCore& origin, const Segment& segment) noexcept;
   /// The queue has moved the counts of all slots into the writer's memory: counts there from here on.
   void move_counts() noexcept;
-  /// A recording has begun, or ended: what comes from here on may be of another run.
+  /// A recording has begun, or ended: later events may belong to another run.
   void look_at_run();
   /// From here on the origins' accounts that the writer keeps are not changed any more.
   void end() noexcept { is_ended_ = true; }
@@ -53,7 +53,7 @@ class SinkTap final : public Tap {
   bool is_news(const OriginCore& origin, const OriginAccount& account);
 
  private:
-  /// What is touched for each event of an origin.
+  /// The data that each event of an origin touches.
   struct OriginSlot {
     LiveCounts* live = nullptr;  // null: it has no slot yet
     SlotStored* stored = nullptr;
@@ -62,7 +62,7 @@ class SinkTap final : public Tap {
     std::uint64_t course = 0;  // of its counts at the last event
     std::uint32_t slot = 0;
   };
-  /// What an origin had counted when this was attached.
+  /// The counts of an origin when this was attached.
   struct Before {
     SensorCounts counts;
     Segment segment;  // under way

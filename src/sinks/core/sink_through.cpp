@@ -25,9 +25,9 @@ void SinkNode::follow_recording() {
   };
   if (recording_ == nullptr) {
     refuse("there is no such sink on this loop",
-           others.empty() ? "make the recording first" : "make the recording first; there are: " + others);
+           others.empty() ? "make the recording first" : "make the recording first; available: " + others);
   }
-  if (queue_->is_recording()) refuse("this sink is a recording itself", "leave `through` out");
+  if (queue_->is_recording()) refuse("this sink is a recording itself", "remove `through`");
   const std::size_t rows = queue_->rows_at_once();
   auto feed = recording_->queue_->make_feed(
       {config_.name, config_.topics, config_.from,
@@ -43,7 +43,7 @@ void SinkNode::follow_recording() {
   if (recording_->is_readable_) start_work();
 }
 
-/// What waited in this recording for a sink of this name that was closed is offered to this one: it counts once.
+/// The backlog of a closed sink of this name in this recording is offered to this one: it counts once.
 void SinkNode::take_over(const std::string& recording) noexcept {
   for (ClosedSink& closed : loop()->runtime.closed_sinks) {
     if (closed.name != config_.name || closed.recording != recording || !closed.backlog) continue;
@@ -71,7 +71,7 @@ void SinkNode::leave_followers(const char* why) noexcept {
   }
 }
 
-/// Rows are to be committed at the shortest time of those that go through.
+/// Sets the commit time to the shortest that the followers need.
 void SinkNode::commit_within(Duration time) {
   if (time >= period() || !is_scheduled()) return;
   loop()->schedule().remove(*this);
@@ -157,7 +157,7 @@ void SinkNode::sending_failed(const Error& error) {
   set_reason(error);
   report(error, 1);
   report_health();
-  // What waits in a recording is safe there: closing does not wait for a peer that does not answer.
+  // The backlog in a recording is safe: closing does not wait for a peer that does not answer.
   if (is_open() && life_ == Life::closing && is_fed()) give_up();
 }
 

@@ -86,7 +86,7 @@ std::optional<Error> Transfer::call_sender(const char* name, Call&& call) noexce
     } catch (const std::exception& e) {
       return threw(e.what());
     } catch (...) {
-      return threw("no std::exception");
+      return threw("an exception that is not a std::exception");
     }
   } catch (...) {  // no memory for the report
     return Error{};
@@ -124,7 +124,7 @@ void Transfer::end() noexcept {
   settled_ = under_way_ = answered_ = 0;
   timer_.close();
   if (!has_begun_) return;
-  // The owner has gone, and hears nothing of what these throw.
+  // The owner is gone: exceptions of these calls are ignored.
   if (is_awaited) (void)call_sender("cancel", [this] { sender_.cancel(); });
   (void)call_sender("end", [this] { sender_.end(); });
 }

@@ -21,7 +21,7 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   /// The sink's interface. A call may end the transfer, but not destroy it.
   class Owner {
    public:
-    /// Of the parcels in order, the next rows: from `first` up to and without `last`.
+    /// The next rows of the parcels in order: from `first` up to, but not including, `last`.
     virtual void rows_settled(std::size_t parcel, std::size_t first, std::size_t last,
                               std::span<const RefusedRow> refused) = 0;
     virtual void all_settled() = 0;
@@ -95,7 +95,7 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   Sender& sender_;
   const SendingConfig sending_;
   const SinkConfig& config_;
-  Owner* owner_;  // null: it has ended
+  Owner* owner_;  // null: the transfer has ended
   std::span<const Parcel> parcels_;
   std::vector<Entry> entries_;
   std::size_t next_ = 0;  // before it, none waits
@@ -111,8 +111,8 @@ class Transfer : public std::enable_shared_from_this<Transfer> {
   Backoff backoff_;
   std::optional<MonotonicTime> blocked_until_;
   MonotonicTime paced_until_{};  // by the limit on bytes
-  /// Those sent, in the order of their deadlines; before `first_sent_`, and between others, lie some that are not under
-  /// way any more.
+  /// The sent parcels, in the order of their deadlines; those before `first_sent_`, and some in between, are no longer
+  /// under way.
   struct Sent {
     std::size_t parcel;
     std::uint64_t transmission;

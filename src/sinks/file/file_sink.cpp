@@ -46,7 +46,7 @@ std::string path_of(const std::string& path, std::string_view topic) {
   return replaced(path, topic_mark, part);
 }
 
-/// One more than the largest number that stands in a file's name where the mark stands in the path, whatever the topic.
+/// One more than the largest number in a file's name at the place of the mark in the path, for any topic.
 std::uint64_t next_run(const std::filesystem::path& path) {
   const std::string name = path.filename().string();
   const std::string before = name.substr(0, name.find(run_mark));
@@ -99,10 +99,9 @@ Result<void> take_path(std::map<std::string, std::string>& topic_by_path, const 
   const auto [other, is_new] = topic_by_path.try_emplace(path, topic);
   if (is_new || other->second == topic) return {};
   const bool is_pattern = pattern.find(topic_mark) != std::string::npos;
-  return Error{
-      Errc::bad_argument, "cannot record topic " + std::string(topic), path,
-      (is_pattern ? "the file holds topic " : "the columns of a file are those of one topic, here ") + other->second,
-      is_pattern ? "give one of them a sink of its own" : "write {topic} into the path: a file each"};
+  return Error{Errc::bad_argument, "cannot record topic " + std::string(topic), path,
+               (is_pattern ? "the file holds topic " : "a file has the columns of one topic, here ") + other->second,
+               is_pattern ? "give one of them a sink of its own" : "write {topic} into the path: a file each"};
 }
 
 class FileWriter final : public RecordingWriter {
@@ -167,15 +166,15 @@ class FileWriter final : public RecordingWriter {
           return Error{Errc::not_found, "the file was deleted", file.path(), "the data written into it is lost with it",
                        "a new one is made"};
         case OutputFile::Gone::unmounted:
-          return Error{Errc::not_found, "the disk of the file was taken away", file.path(),
+          return Error{Errc::not_found, "the disk of the file was removed", file.path(),
                        "the disk is no longer mounted there", "mount it again: events wait in memory until then"};
         case OutputFile::Gone::moved:
           return Error{Errc::not_found, "the file was moved", file.path(),
                        "the data written into it is in the moved file", "a new one is made"};
         case OutputFile::Gone::cut_off:
           return Error{Errc::damaged, "the file was cut off", file.path(),
-                       "the file is shorter than the data written into it: the rest is lost, if there is no copy",
-                       "the sink goes on at the end of the file; `rotate` divides files without a loss"};
+                       "the file is shorter than the data written into it: the rest is lost, unless there is a copy",
+                       "the sink continues at the end of the file; `rotate` divides files without a loss"};
       }
     }
     for (OutputFile& file : files_) file.begin_batch();
@@ -221,12 +220,12 @@ class FileWriter final : public RecordingWriter {
     if (!repairs_.empty()) return take_repairs();
     if (std::string trouble = rotation_.take_trouble(); !trouble.empty()) {
       return Error{Errc::io_failed, "files are not rotated as set", config_.path, std::move(trouble),
-                   "the file grows on, and it is tried again with each event"};
+                   "the file continues to grow; rotation is tried again with each event"};
     }
     std::optional<Error> warning = escaped_.take_warning();
     if (!is_closed_ || escaped_.total() <= 1 || std::exchange(has_reported_total_, true)) return warning;
     if (!warning) warning = Error{Errc::bad_data, "", config_.path, "their wrong bytes are written as \\xHH", ""};
-    warning->what = std::to_string(escaped_.total()) + " texts were no UTF-8";
+    warning->what = std::to_string(escaped_.total()) + " texts were not UTF-8";
     return warning;
   }
 
@@ -252,10 +251,10 @@ class FileWriter final : public RecordingWriter {
     std::string all;
     for (const std::string& repair : repairs_) all += (all.empty() ? "" : "; ") + repair;
     repairs_.clear();
-    return Error{Errc::damaged, "an event was cut off", config_.path, all, "the run before did not end in good order"};
+    return Error{Errc::damaged, "an event was cut off", config_.path, all, "the previous run did not end properly"};
   }
 
-  /// The file is there and is another's: waiting does not help.
+  /// True if the error is permanent (the file exists with other content): waiting does not help.
   static bool is_for_good(const Error& error) {
     return error.code == Errc::description_differs || error.code == Errc::damaged || error.code == Errc::bad_argument;
   }
@@ -305,7 +304,7 @@ class FileWriter final : public RecordingWriter {
   const FileConfig config_;
   std::unique_ptr<Codec> codec_;         // for all files
   std::unique_ptr<Codec> header_codec_;  // loop
-  const bool is_text_;                   // texts that are no UTF-8 are escaped, and reported
+  const bool is_text_;                   // texts that are not UTF-8 are escaped, and reported
   const mode_t permissions_;
   const bool is_pattern_;
   // loop
@@ -320,7 +319,7 @@ class FileWriter final : public RecordingWriter {
   std::vector<OutputFile> files_;
   std::vector<std::size_t> by_topic_;
   std::vector<std::string> repairs_;
-  std::map<std::uint32_t, Error> untaken_;  // topics whose files are there and another's
+  std::map<std::uint32_t, Error> untaken_;  // topics whose files exist with other content
   EscapedTexts escaped_;
   bool is_closed_ = false;
   bool has_reported_total_ = false;
@@ -336,7 +335,7 @@ std::unique_ptr<Writer> make_writer(const FileConfig& config, const CodecRegistr
     const std::size_t at = config.path.find(mark);
     if (at == std::string::npos || config.path.find('/', at) == std::string::npos) continue;
     throw SetupError({Errc::bad_argument, "cannot make file sink", config.path,
-                      std::string(mark) + " stands in the name of a directory", "put it into the file's name"});
+                      std::string(mark) + " is in the name of a directory", "put it into the file's name"});
   }
   const std::string format = codec_name(config, formats);
   auto codec = formats.make(format).or_throw();
@@ -392,7 +391,7 @@ Result<void> check_openable(const FileConfig& config, const std::string& file) {
   const std::string folder = std::filesystem::canonical(file, absent).parent_path().string();
   if (absent || ::access(folder.c_str(), W_OK | X_OK) == 0) return {};
   return Error{Errc::not_permitted, "cannot begin a new file", file,
-               "an earlier run wrote this one, and nothing can be made in " + folder,
+               "an earlier run wrote this file, and no new file can be made in " + folder,
                "choose a folder where this user may write"};
 }
 

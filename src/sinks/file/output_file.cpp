@@ -37,7 +37,7 @@ bool is_another_cbor(const Codec& codec, std::span<const std::byte> begin) {
   return (head != 0xa5 && head != 0xa6) || !key.starts_with(rest);
 }
 
-/// Whether a file that begins so, with half an event or more, is of this format.
+/// True if a file that begins with these bytes (half an event or more) has this format.
 bool is_of_format(const Codec& codec, std::vector<std::byte> begin) {
   if (is_another_cbor(codec, begin)) return false;
   begin.resize(begin.size() + window_bytes);
@@ -126,7 +126,7 @@ OutputFile::OutputFile(OutputFile&& other) noexcept
       done_before_(other.done_before_) {}
 
 OutputFile::~OutputFile() {
-  // A batch that was given up counts as lost: what there is of it goes.
+  // A batch that was given up counts as lost: removes its part from the file.
   if (fd_ >= 0 && done_ > done_before_) (void)!::ftruncate(fd_, batch_begins());
   close();
 }
@@ -363,7 +363,7 @@ Result<void> OutputFile::go_on_as_new(const std::string& name_of_old) {
   auto made = make(name_of_old, 0);  // which says what it is, when the program is killed before it gets its name
   if (!made) return std::move(made).error();
   if (::renameat2(AT_FDCWD, name_of_old.c_str(), AT_FDCWD, path_.c_str(), RENAME_EXCHANGE) != 0) {
-    // FAT and some network file systems: for a moment there is no file of this path.
+    // On FAT and some network file systems, the path has no file for a moment.
     ::close(*made);
     if (::rename(path_.c_str(), name_of_old.c_str()) != 0) {
       const int reason = errno;

@@ -63,7 +63,7 @@ class OutputFile {
   Result<void> sync();
   /// `unmounted`: its disk is no longer mounted. `cut_off`: the file is shorter than before.
   enum class Gone { no, deleted, moved, unmounted, cut_off };
-  /// A file that is no longer where it was, or as it was, is closed.
+  /// Closes a file that was moved, deleted or cut off.
   Gone close_if_gone();
   void close() noexcept;
 
@@ -82,7 +82,7 @@ class OutputFile {
   mode_t permissions_ = 0640;
   int fd_ = -1;
   off_t size_at_open_ = 0;
-  std::string header_;           // to stand before the first event
+  std::string header_;           // to write before the first event
   std::size_t header_left_ = 0;  // of it, to be written
   bool has_begun_ = false;
   bool has_ever_begun_ = false;

@@ -42,7 +42,7 @@ std::uint64_t number_in(const std::string& name, const Parts& parts) {
   return read.ec == std::errc{} && read.ptr == end ? number : 0;
 }
 
-/// Whether it was made for a name that it then did not get, since the program was killed in between.
+/// True if the file was made for a name that it did not get, because the program was killed in between.
 bool is_left_over(const std::string& path) {
   struct stat about {};
   return ::lstat(path.c_str(), &about) == 0 && S_ISREG(about.st_mode) && about.st_size == 0 &&
@@ -72,8 +72,7 @@ std::string Rotation::mistake(const FileConfig& config) {
   if (rotate.bytes && *rotate.bytes < FileRotation::least_bytes)
     return "`rotate.bytes` is less than " + std::to_string(FileRotation::least_bytes);
   if (rotate.time && *rotate.time < FileRotation::least_time) return "`rotate.time` is less than 1 s";
-  if (config.keep != 0 && !rotate.is_on())
-    return "`keep` says how many files are kept, and without `rotate` there is one";
+  if (config.keep != 0 && !rotate.is_on()) return "`keep` needs `rotate`: without it there is only one file";
   return "";
 }
 
@@ -163,7 +162,7 @@ Result<void> Rotation::see_to(OutputFile& file, std::size_t index, std::size_t f
       remove_old(file.path());
       state.period = period;
     } else {
-      tell(renamed.error());  // the file grows on: rather that than to lose an event
+      tell(renamed.error());  // the file continues to grow, so that no event is lost
     }
   }
   // A write that failed comes again with its batch.

@@ -23,16 +23,16 @@ class Rotation {
   /// Moves the event just encoded, from this index in the file's buffer on, to a new file if a limit is reached.
   /// Errors: of writing the data before it. `index` counts the files of the sink.
   Result<void> see_to(OutputFile& file, std::size_t index, std::size_t from, Time time);
-  /// Gives a file that an earlier run wrote the next number, and goes on with a new one.
+  /// Gives a file that an earlier run wrote the next number, and starts a new one.
   static Result<void> set_aside(OutputFile& file);
   /// A failure that is tried again with the next event; reported once, until it succeeds.
   std::string take_trouble() { return std::exchange(trouble_, {}); }
 
   /// The name that a file gets.
   static std::string name(const std::string& path, std::uint64_t number);
-  /// Whether it is such a name.
+  /// True if it is such a name.
   static bool is_numbered(const std::string& path, const std::string& other);
-  /// What is wrong with the settings; empty: nothing.
+  /// The mistake in the settings; empty: none.
   static std::string mistake(const FileConfig& config);
 
  private:

@@ -104,7 +104,7 @@ void CurlMulti::ready(int fd, const FdEvent& event) {
   const int readable = event.readable || event.hung_up ? CURL_CSELECT_IN : 0;
   act(fd, readable | (event.writable ? CURL_CSELECT_OUT : 0));
   if (!*alive || !event.hung_up) return;
-  const auto still = sockets_.find(fd);  // silent after an error, unless it is told to go on
+  const auto still = sockets_.find(fd);  // the watch is silent after an error until `set_events`
   if (still != sockets_.end() && !still->second.is_idle) still->second.watch.set_events(still->second.events);
 }
 

@@ -39,7 +39,7 @@ std::uint64_t mixed(std::uint64_t x) noexcept {
 
 std::uint64_t mixed(std::uint64_t x, std::string_view text) noexcept { return mixed(fnv1a(text, x) ^ text.size()); }
 
-/// As CURLOPT_RESOLVE wants it; empty when it is neither IPv4 nor IPv6.
+/// As CURLOPT_RESOLVE needs it; empty when it is neither IPv4 nor IPv6.
 std::string text_of(const HostLookup::Address& address) {
   char text[INET6_ADDRSTRLEN] = "";
   if (address.socket.ss_family == AF_INET) {
@@ -253,7 +253,7 @@ void HttpSender::send(const Parcel& parcel, Answer answer) {
   request.rest = {};
   const auto known = std::find_if(rests_.begin(), rests_.end(),
                                   [&](const auto& rest) { return rest.first == request.key; });
-  if (known != rests_.end()) {  // it goes on where it was
+  if (known != rests_.end()) {  // it continues where it was
     request.rest = std::move(known->second);
     request.has_answers = true;
     rests_.erase(known);
@@ -340,10 +340,9 @@ void HttpSender::looked_up(const Result<std::vector<HostLookup::Address>>& found
     if (!addresses_.empty()) {
       transfer(request);
     } else {
-      give_up(request,
-              {HttpVerdict::later,
-               {Errc::not_found, "cannot send", peer.origin, why, "check the name; an address needs no looking up"},
-               {}});
+      give_up(request, {HttpVerdict::later,
+                        {Errc::not_found, "cannot send", peer.origin, why, "check the host name, or use an IP address"},
+                        {}});
     }
     if (!*alive || multi_ == nullptr) return;
   }
@@ -371,8 +370,9 @@ void HttpSender::transfer(Request& request) {
   request.state = State::transferring;
   watch_deadlines();
   if (multi_->add(request.easy)) return;
-  give_up(request,
-          {HttpVerdict::later, {Errc::io_failed, "cannot send", url_.origin, "libcurl takes no request", ""}, {}});
+  give_up(request, {HttpVerdict::later,
+                    {Errc::io_failed, "cannot send", url_.origin, "libcurl does not accept the request", ""},
+                    {}});
 }
 
 void HttpSender::transferred(CURL* easy, CURLcode result) {
@@ -420,7 +420,7 @@ void HttpSender::transferred(CURL* easy, CURLcode result) {
   take(request, judge(failure, url_.origin, proxy_ ? proxy_->origin : ""));
 }
 
-/// The whole request had been sent, and the server says that it has taken it, in an answer that is not whole.
+/// True if the whole request was sent, and the success answer of the server was cut off.
 bool HttpSender::is_cut_answer(const Request& request, CURLcode result, long status) const {
   curl_off_t sent = 0;
   curl_easy_getinfo(request.easy, CURLINFO_SIZE_UPLOAD_T, &sent);
@@ -434,11 +434,11 @@ void HttpSender::count_cut_answer(const Request& request) {
   const bool is_first = cut_ == 0;
   cut_ += range.last - range.first;
   if (!is_first) return;
-  loop_->core().runtime.log(
-      LogLevel::warning, "sink " + config_.sink.name,
-      url_.origin + " says that it has taken a request, and cut its answer off " + std::to_string(most_cut_answers) +
-          " times: the events count as delivered. See its log, or set `cut_answer`; how many there are is told "
-          "at the end");
+  loop_->core().runtime.log(LogLevel::warning, "sink " + config_.sink.name,
+                            url_.origin + " accepted a request, but cut off its answer " +
+                                std::to_string(most_cut_answers) +
+                                " times: the events count as delivered (total at the end of the run). Check the "
+                                "server's log, or set `cut_answer`");
 }
 
 void HttpSender::take(Request& request, HttpJudgement judgement) {
@@ -461,8 +461,8 @@ void HttpSender::take(Request& request, HttpJudgement judgement) {
     return give_up(request,
                    {HttpVerdict::later,
                     {Errc::timed_out, "cannot send", url_.origin,
-                     "the events of a parcel did not get through one by one in " + to_string(config_.sending.timeout),
-                     "those that did are not sent again"},
+                     "sending the events of a parcel one by one took longer than " + to_string(config_.sending.timeout),
+                     "the remaining events are sent later; delivered ones are not sent again"},
                     Duration{0}});
   }
   start(request);
@@ -532,22 +532,22 @@ Error HttpSender::where_it_stands(const Request& request) const {
   curl_off_t encrypted = 0;
   if (request.state == State::compressing) {
     error.why = "the events were not compressed" + limit;
-    error.advice = "is this machine overloaded?";
+    error.advice = "check the load of this computer";
   } else if (request.state == State::waiting) {
     error.where = first;
     error.why = "the name was not looked up" + limit;
-    error.advice = "do the name servers answer? An address needs no looking up";
+    error.advice = "check the name servers, or use an IP address";
   } else if (!has_connected(request)) {
     error.where = first;
     error.why = "there was no connection" + limit;
-    error.advice = "is the machine on, and does the network reach it? A firewall may drop the packets";
+    error.advice = "check that the server is on and that the network reaches it; a firewall may drop the packets";
   } else if (url_.is_encrypted() &&
              (curl_easy_getinfo(request.easy, CURLINFO_APPCONNECT_TIME_T, &encrypted) != CURLE_OK || encrypted == 0)) {
     error.why = "the connection was not encrypted" + limit;
-    error.advice = "does the server speak TLS at this port?";
+    error.advice = "check that the server uses TLS at this port";
   } else {
     error.why = "there was no answer" + limit;
-    error.advice = "the server accepts connections but does not answer: see its log; is `timeout` long enough?";
+    error.advice = "the server accepts connections but does not answer: see its log, or set a longer `timeout`";
   }
   return error;
 }

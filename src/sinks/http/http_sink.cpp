@@ -17,7 +17,7 @@ std::vector<HttpMistake> mistakes_of(const HttpConfig& config) {
   std::vector<HttpMistake> mistakes = mistakes_of(config.server);
   if (config.format == "csv")
     mistakes.push_back(
-        {"format", "rows of CSV say neither topic nor names of their columns: use json, jsonl, cbor or influx"});
+        {"format", "CSV rows contain neither the topic nor the column names: use json, jsonl, cbor or influx"});
   if (!is_one_line(config.content_type))
     mistakes.push_back({"content_type", "it has a line break or another control character"});
   return mistakes;

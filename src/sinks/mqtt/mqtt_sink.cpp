@@ -37,10 +37,10 @@ detail::MqttOptions options_of(const MqttConfig& config) {
 }
 
 // A broker of MQTT 3.1.1 does not say which packet is too large for it: it ends the connection.
-constexpr Duration patience = std::chrono::seconds{1};  // a connection that lasts for so long is a good one
+constexpr Duration patience = std::chrono::seconds{1};  // a connection that lasts for this long is a good one
 constexpr int most_losses = 3;                          // with the same event, each of a good connection
 
-/// MQTT 5 says that the broker will never take the message. A missing permission is no such case: it can be given.
+/// MQTT 5 says that the broker will never take the message. A missing permission is not such a case: it can be given.
 bool is_refusal(int reason) {
   return reason >= 0x80 && reason != MQTT_RC_QUOTA_EXCEEDED && reason != MQTT_RC_RECEIVE_MAXIMUM_EXCEEDED &&
          reason != MQTT_RC_PACKET_ID_IN_USE && reason != MQTT_RC_SERVER_BUSY && reason != MQTT_RC_NOT_AUTHORIZED;
@@ -198,7 +198,8 @@ class Publishing final : public detail::MqttConnection {
       };
       if (reason == MQTT_RC_NOT_AUTHORIZED) {
         if (!of->forbidden)
-          of->forbidden = refusal("permit it in its access control, or leave the topic out of `topics`; events wait");
+          of->forbidden = refusal(
+              "permit it in the broker's access control, or remove the topic from `topics`; events wait");
       } else if (is_refusal(reason)) {
         of->progress.refuse(ended.row, refusal("check the topic and what the broker's log says"));
       } else if (reason >= 0x80) {
@@ -212,7 +213,7 @@ class Publishing final : public detail::MqttConnection {
           ++of->progress.unheard;
           of->progress.refuse(ended.row, {Errc::disconnected, "the broker has discarded the event",
                                           topic_of(of->parcel->rows()[ended.row]), "there was no subscriber",
-                                          "subscribe with a session that lasts, or set `wait_for_subscriber` or "
+                                          "subscribe with a persistent session, or set `wait_for_subscriber` or "
                                           "`retain`"});
         } else {
           of->progress.is_done[ended.row] = true;
@@ -220,7 +221,7 @@ class Publishing final : public detail::MqttConnection {
       }
     }
     client->published.clear();
-    if (is_short_of_room) return fail(Errc::busy, "the broker takes no more", mosquitto_reason_string(why));
+    if (is_short_of_room) return fail(Errc::busy, "the broker accepts no more events", mosquitto_reason_string(why));
     if (is_unheard) return fail(Errc::busy, "there is no subscriber", "events wait until there is one");
     for (bool is_any = true; is_any && client_ == client;) {
       const auto done = std::find_if(under_way_.begin(), under_way_.end(),
@@ -287,9 +288,9 @@ class Publishing final : public detail::MqttConnection {
         with.front().row,
         {Errc::does_not_fit, "the broker does not take the event", topic_of(of->parcel->rows()[with.front().row]),
          "it has ended " + std::to_string(most_losses) + " connections on which nothing else was sent",
-         "of MQTT 3.1.1 it does not say why: most probably the event, of " +
+         "MQTT 3.1.1 gives no reason; most probably the event, of " +
              std::to_string(of->parcel->bytes(with.front().row).size()) +
-             " bytes, is larger than its limit for packets"});
+             " bytes, is larger than the broker's packet limit"});
     suspected_ = 0;
   }
   void forget() override {
@@ -314,7 +315,7 @@ class Publishing final : public detail::MqttConnection {
   std::vector<Message> slots_;
   std::size_t messages_ = 0;  // in them
   int last_number_ = 0;
-  // Of MQTT 3.1.1: which event it is that the broker ends connections for.
+  // MQTT 3.1.1: the event for which the broker ends connections.
   Timer good_at_;
   bool is_good_ = false;      // the broker has accepted the connection
   bool is_on_trial_ = false;  // whether it lasts, before anything is sent on it
@@ -360,13 +361,13 @@ MqttConfig named(MqttConfig config) {
 /// Why missing subscribers cannot be detected; empty: they can.
 std::string obstacle_of_waiting(const MqttConfig& config) {
   if (!config.wait_for_subscriber) return {};
-  if (config.qos == 0) return "with qos 0 the broker says nothing of an event: set qos 1";
+  if (config.qos == 0) return "with qos 0 the broker confirms no event: set qos 1";
   // The broker says so in its first answer, but the library does not pass that on.
   if (config.qos == 2) return "with qos 2 the broker does not report that there is no subscriber: set qos 1";
   return config.version == MqttVersion::v311 ? "only version 5 of MQTT reports that there is no subscriber" : "";
 }
 
-/// Of a topic with marks.
+/// The mistake in a topic with marks; empty: none.
 std::string obstacle_of_pattern(const std::string& topic) {
   for (std::size_t begin = topic.find('{'); begin != std::string::npos; begin = topic.find('{', begin + 1)) {
     const std::size_t end = topic.find_first_of("{}/", begin + 1);

@@ -187,7 +187,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   void garbage(const std::string& got) {
     if (under_way_.empty()) has_trouble_ = true;  // the next parcel reports it
     fail({Errc::bad_data, "cannot understand the peer", peer(), "it acknowledges " + got,
-          "`acknowledge` must fit the answers of the peer: docs/sending.md"});
+          "set `acknowledge` as the peer answers: docs/sending.md"});
   }
 
   void acknowledge_first() {
@@ -204,7 +204,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
     close();
     if (bytes > 0) error.why += "; up to " + std::to_string(bytes) + " bytes that had been sent are lost";
     if (under_way_.empty()) {
-      // Nobody waits for an answer: what may be lost is told with the next parcel.
+      // Nobody waits for an answer: possible losses are reported with the next parcel.
       if (was_open && (bytes > 0 || std::exchange(has_trouble_, false))) trouble_ = std::move(error);
       return;
     }
@@ -224,7 +224,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   const TcpConfig config_;
   const std::shared_ptr<const TlsContext> tls_;  // null: not encrypted
   TlsStream stream_;
-  Timer more_;  // goes on in the next turn of the loop
+  Timer more_;  // continues in the next turn of the loop
   std::vector<UnderWay> under_way_;
   std::string line_;  // of an acknowledgement, begun
   std::optional<Error> trouble_;

@@ -185,7 +185,7 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
       if (error_number == EINTR) continue;
       if (error_number == EAGAIN || error_number == ENOBUFS) return wait_for_room();
       if (error_number == ECONNREFUSED) {
-        report_no_receiver();  // of one before, which is told once; this one was not sent
+        report_no_receiver();  // of an earlier datagram, reported once; this one was not sent
       } else if (error_number == EMSGSIZE) {
         answer_.refuse(next_++, {Errc::does_not_fit, "cannot send", peer(), "it is too long for a datagram there",
                                  "send less in one event, or by tcp"});
@@ -205,7 +205,7 @@ class Datagrams : public std::enable_shared_from_this<Datagrams> {
   void report_no_receiver() {
     answer_.refuse(next_ > 0 ? next_ - 1 : 0,
                    {Errc::disconnected, "no program receives it", peer(), "no program there listens at this port",
-                    "start the receiver; sending goes on"});
+                    "start the receiver; sending continues"});
   }
   void wait_for_room() {
     if (watch_.is_open()) return;

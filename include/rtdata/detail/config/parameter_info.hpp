@@ -64,7 +64,7 @@ struct ParameterInfo {
   bool required = false;
   OnlyWith only_with;
   NamesPart names_part;
-  std::vector<std::string> placeholders;  ///< that may stand in the text
+  std::vector<std::string> placeholders;  ///< that the text may contain
   std::string doc;
 
   /// The default as one writes it in the file, strings without quotes; "" for none.
