@@ -5,7 +5,7 @@
 ///                                                 {.model = BarometerModel::bmp280, .pressure_oversampling = 16});
 ///
 /// Each tick starts one measurement and reads it when the chip has had its time (7 ms, with 16-fold oversampling of
-/// both 76 ms; a BMP581: 5 and 17 ms); the bus is free for others meanwhile, and the event has the time of the start. An
+/// both 76 ms; a BMP581: 5 and 17 ms). The bus is free for others meanwhile; the event has the time of the start. An
 /// MS5611 measures its temperature after the pressure, for which it holds the bus (0.6 to 9 ms, as
 /// `temperature_oversampling` says).
 ///
@@ -371,7 +371,7 @@ class Barometer {
     humidity_ = settings[2].count;
   }
 
-  /// The start-up time, of a BMP581 with the way to standby; for an MS5611 the temperature measurement, which follows the
+  /// The start-up time, of a BMP581 until standby; of an MS5611 the temperature measurement, which follows that of the
   /// pressure.
   static Duration bus_time(const Config& config) {
     constexpr Duration start_up = std::chrono::milliseconds{3};
