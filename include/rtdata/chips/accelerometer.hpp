@@ -141,15 +141,16 @@ struct AccelerometerConfig {
         parameter("model", &AccelerometerConfig::model, "which chip it is",
                   choices(value("adxl345", AccelerometerModel::adxl345), value("adxl375", AccelerometerModel::adxl375),
                           value("lis3dh", AccelerometerModel::lis3dh))),
+        parameter("sample_rate", &AccelerometerConfig::sample_rate,
+                  "samples per second that the chip takes: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; LIS3DH: 10, "
+                  "25, 50, 100, 200, 400 or 1344; `rate` is how often the program fetches them; default: 100",
+                  unit("Hz"), range(6.25, 1600.0)),
         parameter(
-            "sample_rate", &AccelerometerConfig::sample_rate,
-            "samples a second of the chip: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; LIS3DH: 10, 25, 50, 100, "
-            "200, 400 or 1344; `rate` says how often they are fetched; default: 100",
-            unit("Hz"), range(6.25, 1600.0)),
-        parameter("acceleration_range", &AccelerometerConfig::acceleration_range,
-                  "in 9.80665 m/s2. ADXL345, LIS3DH: 2, 4, 8 or 16; ADXL375: 200; default: the widest", range(2, 200)),
+            "acceleration_range", &AccelerometerConfig::acceleration_range,
+            "measuring range in g (9.80665 m/s2). ADXL345, LIS3DH: 2, 4, 8 or 16; ADXL375: 200; default: the largest",
+            range(2, 200)),
         parameter("self_test", &AccelerometerConfig::self_test,
-                  "tests the chip at each start, in which it must lie still", only_with("model", "adxl345")),
+                  "tests the chip at each start; it must lie still during the test", only_with("model", "adxl345")),
         identity_parameter(&AccelerometerConfig::identity));
   }
   static std::span<const InertialModel> models() noexcept { return accelerometer_models::all; }

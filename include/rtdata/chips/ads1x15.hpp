@@ -72,10 +72,11 @@ class Ads1x15 {
     double range = 4.096;     ///< V, positive and negative
     friend constexpr auto parameters(type_tag<Channel>) {
       return parameter_list(
-          parameter("name", &Channel::name, "of its field; default: by the input, such as ain0", TextIs::field),
-          parameter("input", &Channel::input, "against ground, or the first less the second",
+          parameter("name", &Channel::name, "name of the field; default: from the input, such as ain0", TextIs::field),
+          parameter("input", &Channel::input, "one input against ground, or the first input minus the second",
                     choices("0", "1", "2", "3", "0-1", "0-3", "1-3", "2-3")),
-          parameter("range", &Channel::range, "to both sides: 6.144, 4.096, 2.048, 1.024, 0.512 or 0.256", unit("V")));
+          parameter("range", &Channel::range,
+                    "measuring range, plus or minus: 6.144, 4.096, 2.048, 1.024, 0.512 or 0.256", unit("V")));
     }
   };
   struct Config {
@@ -86,9 +87,11 @@ class Ads1x15 {
       return parameter_list(
           parameter("model", &Config::model, "which chip it is",
                     choices(value("ads1015", Ads1x15Model::ads1015), value("ads1115", Ads1x15Model::ads1115))),
-          parameter("channels", &Config::channels, "what to convert, in this order; none: each input against ground"),
+          parameter("channels", &Config::channels,
+                    "inputs to convert, in this order; empty: each input against ground"),
           parameter("data_rate", &Config::data_rate,
-                    "conversions a second: slower ones have less noise; 8 to 860, ADS1015 128 to 3300", unit("Hz")));
+                    "conversions per second; fewer give less noise. ADS1115: 8 to 860; ADS1015: 128 to 3300",
+                    unit("Hz")));
     }
   };
   using Value = OptionalVoltages;

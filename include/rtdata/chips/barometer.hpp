@@ -304,15 +304,16 @@ class Barometer {
                             value("bmp581", BarometerModel::bmp581), value("bmp585", BarometerModel::bmp585),
                             value("ms5611", BarometerModel::ms5611))),
           parameter("pressure_oversampling", &Config::pressure_oversampling,
-                    "measurements that are averaged: 1, 2, 4, 8 or 16 (BMP388, BMP390: 32 too; BMP581, BMP585: to "
-                    "128); MS5611: 256, 512, 1024, 2048 or 4096; default: 1, MS5611 4096",
+                    "number of measurements that are averaged: 1, 2, 4, 8 or 16 (BMP388, BMP390: 32 too; BMP581, "
+                    "BMP585: to 128); MS5611: 256, 512, 1024, 2048 or 4096; default: 1, MS5611 4096",
                     range(1, 4096)),
           parameter("temperature_oversampling", &Config::temperature_oversampling,
-                    "as `pressure_oversampling`; default: 1, MS5611 1024", range(1, 4096)),
-          parameter("humidity_oversampling", &Config::humidity_oversampling, "1, 2, 4, 8 or 16; default: 1",
+                    "like `pressure_oversampling`; default: 1, MS5611 1024", range(1, 4096)),
+          parameter("humidity_oversampling", &Config::humidity_oversampling,
+                    "number of measurements that are averaged: 1, 2, 4, 8 or 16; default: 1",
                     only_with("model", "bme280"), range(1, 16)),
           parameter("reference_pressure", &Config::reference_pressure,
-                    "where `altitude` is 0: the pressure at sea level, or on the ground", unit("Pa"),
+                    "pressure at which `altitude` is 0: the pressure at sea level, or on the ground", unit("Pa"),
                     range(1000, 120000)),
           identity_parameter(&Config::identity));
     }

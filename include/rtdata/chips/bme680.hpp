@@ -196,15 +196,17 @@ class Bme680 {
     friend constexpr auto parameters(type_tag<Config>) {
       using namespace std::chrono_literals;
       return parameter_list(
-          parameter("heater_temperature", &Config::heater_temperature, "of the gas sensor", unit("Cel"),
-                    range(200, 400)),
+          parameter("heater_temperature", &Config::heater_temperature,
+                    "temperature of the gas sensor when it is measured", unit("Cel"), range(200, 400)),
           parameter("heater_duration", &Config::heater_duration,
-                    "for which the gas sensor is heated before it is measured; 0 s: no gas is measured",
+                    "how long the gas sensor is heated before it is measured; 0 s: gas is not measured",
                     range(Duration{0}, Duration{4032ms})),
           parameter("temperature_oversampling", &Config::temperature_oversampling,
-                    "measurements that are averaged: 1, 2, 4, 8 or 16", range(1, 16)),
-          parameter("pressure_oversampling", &Config::pressure_oversampling, "1, 2, 4, 8 or 16", range(1, 16)),
-          parameter("humidity_oversampling", &Config::humidity_oversampling, "1, 2, 4, 8 or 16", range(1, 16)),
+                    "number of measurements that are averaged: 1, 2, 4, 8 or 16", range(1, 16)),
+          parameter("pressure_oversampling", &Config::pressure_oversampling,
+                    "number of measurements that are averaged: 1, 2, 4, 8 or 16", range(1, 16)),
+          parameter("humidity_oversampling", &Config::humidity_oversampling,
+                    "number of measurements that are averaged: 1, 2, 4, 8 or 16", range(1, 16)),
           identity_parameter(&Config::identity));
     }
   };

@@ -418,22 +418,22 @@ struct ImuConfig {
                           value("lsm6dsox", ImuModel::lsm6dsox), value("lsm9ds1", ImuModel::lsm9ds1),
                           value("icm20948", ImuModel::icm20948))),
         parameter("sample_rate", &ImuConfig::sample_rate,
-                  "samples a second of the chip; `rate` says how often they are fetched. MPU: 1000, ICM-20948: 1125, "
-                  "divided by a whole number; LSM6: 26, 52, 104, 208, 416, 833, 1660; LSM9DS1: 14.9, 59.5, 119, 238, "
-                  "476, 952; default: the first from 100 on",
+                  "samples per second that the chip takes; `rate` is how often the program fetches them. MPU: 1000, "
+                  "ICM-20948: 1125, divided by a whole number; LSM6: 26, 52, 104, 208, 416, 833, 1660; LSM9DS1: 14.9, "
+                  "59.5, 119, 238, 476, 952; default: the lowest that is at least 100",
                   unit("Hz"), range(4, 2000)),
-        parameter("acceleration_range", &ImuConfig::acceleration_range, "2, 4, 8 or 16 times 9.80665 m/s2; default: 16",
-                  range(2, 16)),
-        parameter(
-            "angular_range", &ImuConfig::angular_range,
-            "in degrees a second. MPU, ICM: 250, 500, 1000, 2000; LSM6: 125 too; LSM9DS1: 245, 500, 2000; default: "
-            "2000",
-            range(125, 2000)),
+        parameter("acceleration_range", &ImuConfig::acceleration_range,
+                  "measuring range in g (9.80665 m/s2): 2, 4, 8 or 16; default: 16", range(2, 16)),
+        parameter("angular_range", &ImuConfig::angular_range,
+                  "measuring range in degrees per second. MPU, ICM: 250, 500, 1000, 2000; LSM6: also 125; LSM9DS1: "
+                  "245, 500, 2000; default: 2000",
+                  range(125, 2000)),
         parameter("bandwidth", &ImuConfig::bandwidth,
-                  "of the low-pass filter of an MPU: 188, 98, 42, 20, 10 or 5; default: 42. ICM-20948: 197, 152, 120, "
-                  "51, 24, 12 or 6; default: 51",
+                  "cut-off frequency of the low-pass filter. MPU: 188, 98, 42, 20, 10 or 5 (default 42); ICM-20948: "
+                  "197, 152, 120, 51, 24, 12 or 6 (default 51)",
                   unit("Hz"), range(5, 197), only_with("model", "mpu6050", "mpu6500", "mpu9250", "icm20948")),
-        parameter("self_test", &ImuConfig::self_test, "tests the chip at each start, in which it must lie still"),
+        parameter("self_test", &ImuConfig::self_test,
+                  "tests the chip at each start; it must lie still during the test"),
         identity_parameter(&ImuConfig::identity));
   }
   static std::span<const InertialModel> models() noexcept { return imu_models::all; }

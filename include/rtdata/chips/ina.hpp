@@ -67,8 +67,8 @@ class Ina {
       return parameter_list(parameter("model", &Config::model, "which chip it is",
                                       choices(value("ina219", InaModel::ina219), value("ina226", InaModel::ina226),
                                               value("ina228", InaModel::ina228))),
-                            parameter("shunt_resistance", &Config::shunt_resistance, "of the shunt: 0.1 on most boards",
-                                      unit("Ohm"), range(1e-6, 1e3)),
+                            parameter("shunt_resistance", &Config::shunt_resistance,
+                                      "resistance of the shunt: 0.1 on most boards", unit("Ohm"), range(1e-6, 1e3)),
                             identity_parameter(&Config::identity));
     }
   };

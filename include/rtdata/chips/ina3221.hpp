@@ -65,13 +65,14 @@ class Ina3221 {
       return {shunt_resistance_1, shunt_resistance_2, shunt_resistance_3};
     }
     friend constexpr auto parameters(type_tag<Config>) {
-      return parameter_list(parameter("shunt_resistance_1", &Config::shunt_resistance_1,
-                                      "of the shunt of channel 1: 0.1 on most boards", unit("Ohm"), range(1e-6, 1e3)),
-                            parameter("shunt_resistance_2", &Config::shunt_resistance_2, "of that of channel 2",
-                                      unit("Ohm"), range(1e-6, 1e3)),
-                            parameter("shunt_resistance_3", &Config::shunt_resistance_3, "of that of channel 3",
-                                      unit("Ohm"), range(1e-6, 1e3)),
-                            identity_parameter(&Config::identity));
+      return parameter_list(
+          parameter("shunt_resistance_1", &Config::shunt_resistance_1,
+                    "resistance of the shunt of channel 1: 0.1 on most boards", unit("Ohm"), range(1e-6, 1e3)),
+          parameter("shunt_resistance_2", &Config::shunt_resistance_2, "resistance of the shunt of channel 2",
+                    unit("Ohm"), range(1e-6, 1e3)),
+          parameter("shunt_resistance_3", &Config::shunt_resistance_3, "resistance of the shunt of channel 3",
+                    unit("Ohm"), range(1e-6, 1e3)),
+          identity_parameter(&Config::identity));
     }
   };
   using Value = ThreePowersReading;

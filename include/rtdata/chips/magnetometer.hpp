@@ -224,13 +224,14 @@ class Magnetometer {
                     choices(value("lis3mdl", MagnetometerModel::lis3mdl), value("lsm9ds1", MagnetometerModel::lsm9ds1),
                             value("ak8963", MagnetometerModel::ak8963), value("hmc5883l", MagnetometerModel::hmc5883l),
                             value("qmc5883l", MagnetometerModel::qmc5883l))),
-          parameter("sample_rate", &Config::sample_rate,
-                    "measurements a second of the chip. LIS3MDL, LSM9DS1: 0.625, 1.25, 2.5, 5, 10, 20, 40, 80; AK8963: "
-                    "8, 100; HMC5883L: 0.75, 1.5, 3, 7.5, 15, 30, 75; QMC5883L: 10, 50, 100, 200; default: the last",
-                    unit("Hz"), range(0.625, 200.0)),
+          parameter(
+              "sample_rate", &Config::sample_rate,
+              "measurements per second that the chip takes. LIS3MDL, LSM9DS1: 0.625, 1.25, 2.5, 5, 10, 20, 40, 80; "
+              "AK8963: 8, 100; HMC5883L: 0.75, 1.5, 3, 7.5, 15, 30, 75; QMC5883L: 10, 50, 100, 200; default: the last",
+              unit("Hz"), range(0.625, 200.0)),
           parameter("field_range", &Config::field_range,
-                    "in gauss, which are 1e-4 T. LIS3MDL, LSM9DS1: 4, 8, 12, 16; AK8963: 49.12; HMC5883L: 0.88, 1.3, "
-                    "1.9, 2.5, 4, 4.7, 5.6, 8.1; QMC5883L: 2, 8; default: the first, HMC5883L 1.3",
+                    "measuring range in gauss (1e-4 T). LIS3MDL, LSM9DS1: 4, 8, 12, 16; AK8963: 49.12; HMC5883L: 0.88, "
+                    "1.3, 1.9, 2.5, 4, 4.7, 5.6, 8.1; QMC5883L: 2, 8; default: the first, HMC5883L 1.3",
                     unit("G"), range(0.88, 49.12)),
           identity_parameter(&Config::identity));
     }

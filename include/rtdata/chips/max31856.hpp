@@ -61,13 +61,14 @@ class Max31856 {
     unsigned average = 1;  ///< measurements in each reading
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("thermocouple", &Config::thermocouple, "its kind",
+          parameter("thermocouple", &Config::thermocouple, "type of the thermocouple",
                     choices(value("b", Thermocouple::b), value("e", Thermocouple::e), value("j", Thermocouple::j),
                             value("k", Thermocouple::k), value("n", Thermocouple::n), value("r", Thermocouple::r),
                             value("s", Thermocouple::s), value("t", Thermocouple::t))),
-          parameter("mains", &Config::mains, "the interference that is filtered out",
+          parameter("mains", &Config::mains, "mains frequency, whose interference is filtered out",
                     choices(value("50 Hz", Mains::hz_50), value("60 Hz", Mains::hz_60))),
-          parameter("average", &Config::average, "measurements in each reading: 1, 2, 4, 8 or 16"));
+          parameter("average", &Config::average,
+                    "number of measurements that are averaged in a reading: 1, 2, 4, 8 or 16"));
     }
   };
   using Value = ThermocoupleReading;

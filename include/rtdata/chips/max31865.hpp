@@ -65,12 +65,13 @@ class Max31865 {
     Mains mains = Mains::hz_50;
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("element", &Config::element, "its resistance at 0 degrees: 100 or 1000 Ohm",
+          parameter("element", &Config::element, "the element, by its resistance at 0 degrees: 100 or 1000 Ohm",
                     choices(value("pt100", RtdElement::pt100), value("pt1000", RtdElement::pt1000))),
-          parameter("wires", &Config::wires, "to the element", range(2, 4)),
+          parameter("wires", &Config::wires, "number of wires to the element", range(2, 4)),
           parameter("reference_resistance", &Config::reference_resistance,
-                    "of the board's resistor; default: 430, for a PT1000 4300", unit("Ohm"), range(10, 100'000)),
-          parameter("mains", &Config::mains, "the interference that is filtered out",
+                    "resistance of the board's reference resistor; default: 430, for a PT1000 4300", unit("Ohm"),
+                    range(10, 100'000)),
+          parameter("mains", &Config::mains, "mains frequency, whose interference is filtered out",
                     choices(value("50 Hz", Mains::hz_50), value("60 Hz", Mains::hz_60))));
     }
   };

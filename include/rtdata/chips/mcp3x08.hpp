@@ -60,7 +60,7 @@ class Mcp3x08 {
     std::string input = "0";  ///< "0" to "7", "0-1", "1-0", "2-3" ...
     friend constexpr auto parameters(type_tag<Channel>) {
       return parameter_list(
-          parameter("name", &Channel::name, "of its field; default: by the input, such as ain0", TextIs::field),
+          parameter("name", &Channel::name, "name of the field; default: from the input, such as ain0", TextIs::field),
           parameter(
               "input", &Channel::input,
               "one input against ground (0), or the difference of two (0-1: input 0 minus input 1)",
@@ -73,10 +73,12 @@ class Mcp3x08 {
     double reference_voltage = 3.3;  ///< V at the pin VREF: full scale, one more than the highest code
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("channels", &Config::channels, "what to convert, in this order; none: each input against ground"),
+          parameter("channels", &Config::channels,
+                    "inputs to convert, in this order; empty: each input against ground"),
           parameter("model", &Config::model, "which chip it is",
                     choices(value("mcp3008", AdcModel::mcp3008), value("mcp3208", AdcModel::mcp3208))),
-          parameter("reference_voltage", &Config::reference_voltage, "at the pin VREF", unit("V"), range(0.25, 7.0)));
+          parameter("reference_voltage", &Config::reference_voltage, "voltage at the pin VREF", unit("V"),
+                    range(0.25, 7.0)));
     }
   };
   using Value = Voltages;

@@ -67,12 +67,13 @@ class Nau7802 {
     std::optional<IdentityCode> identity{};  ///< of a clone
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("gain", &Config::gain, "1, 2, 4, 8, 16, 32, 64 or 128: its range is 500 mV/V over it"),
-          parameter("data_rate", &Config::data_rate, "samples a second: 10, 20, 40, 80 or 320", unit("Hz")),
+          parameter("gain", &Config::gain,
+                    "1, 2, 4, 8, 16, 32, 64 or 128; the measuring range is 500 mV/V divided by the gain"),
+          parameter("data_rate", &Config::data_rate, "samples per second: 10, 20, 40, 80 or 320", unit("Hz")),
           parameter("supply_voltage", &Config::supply_voltage,
-                    "that it gives to the bridge: 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.2 or 4.5", unit("V")),
-          parameter("tare_samples", &Config::tare_samples, "the average of the first so many is taken off; 0: none",
-                    range(0, 100'000)),
+                    "voltage that the chip gives to the bridge: 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.2 or 4.5", unit("V")),
+          parameter("tare_samples", &Config::tare_samples,
+                    "number of first samples whose mean is subtracted as the tare; 0: no tare", range(0, 100'000)),
           identity_parameter(&Config::identity));
     }
   };

@@ -58,8 +58,8 @@ class Scd4x {
     double altitude = 0;  ///< m above the sea, for the pressure of the air
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(parameter("altitude", &Config::altitude,
-                                      "of the chip above the sea, by which it knows the pressure of the air", unit("m"),
-                                      range(0, 3000)));
+                                      "height of the chip above sea level, from which it computes the air pressure",
+                                      unit("m"), range(0, 3000)));
     }
   };
   using Value = Scd4xReading;

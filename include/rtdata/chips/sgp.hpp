@@ -198,10 +198,10 @@ class Sgp40 {
     double temperature = 25;  ///< degrees Celsius, of the air
     double humidity = 50;     ///< %, of the air
     friend constexpr auto parameters(type_tag<Config>) {
-      return parameter_list(
-          parameter("temperature", &Config::temperature, "of the air, for the chip's correction", unit("Cel"),
-                    range(-45, 130)),
-          parameter("humidity", &Config::humidity, "of the air, for the chip's correction", unit("%"), range(0, 100)));
+      return parameter_list(parameter("temperature", &Config::temperature, "air temperature, for the chip's correction",
+                                      unit("Cel"), range(-45, 130)),
+                            parameter("humidity", &Config::humidity, "relative air humidity, for the chip's correction",
+                                      unit("%"), range(0, 100)));
     }
   };
   using Value = Sgp40Reading;

@@ -20,8 +20,9 @@ struct HysteresisConfig {
 
   friend constexpr auto parameters(type_tag<HysteresisConfig>) {
     return parameter_list(
-        parameter("on", &HysteresisConfig::on, "above `off`: on from here up; below it: on from here down", required),
-        parameter("off", &HysteresisConfig::off, "off from here, the other way", required));
+        parameter("on", &HysteresisConfig::on,
+                  "switch on at this value: when rising if `on` > `off`, when falling if `on` < `off`", required),
+        parameter("off", &HysteresisConfig::off, "switch off at this value, in the other direction", required));
   }
   friend void check_config(const HysteresisConfig& config, const ConfigItem& item, Problems& problems) {
     if (config.on == config.off)
@@ -72,13 +73,17 @@ struct PidConfig {
   friend constexpr auto parameters(type_tag<PidConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("setpoint", &PidConfig::setpoint, "what the measured value is to become", required),
-        parameter("kp", &PidConfig::kp, "proportional gain: output per unit; negative where more output makes it less"),
-        parameter("ki", &PidConfig::ki, "integral gain: output per unit and second"),
-        parameter("kd", &PidConfig::kd, "derivative gain: output per unit a second, of the measured value"),
+        parameter("setpoint", &PidConfig::setpoint, "value that the measured value should reach", required),
+        parameter(
+            "kp", &PidConfig::kp,
+            "proportional gain: output for each unit of difference; negative if more output lowers the measured value"),
+        parameter("ki", &PidConfig::ki, "integral gain: change of the output per second, for each unit of difference"),
+        parameter("kd", &PidConfig::kd,
+                  "derivative gain: output for a measured value that changes by one unit per second"),
         parameter("least", &PidConfig::least, "least output"), parameter("most", &PidConfig::most, "largest output"),
         parameter("derivative_filter", &PidConfig::derivative_filter,
-                  "time constant of the low pass before the derivative; 0: none", range(Duration{0}, Duration{1h})));
+                  "time constant of the low-pass filter before the derivative; 0: no filter",
+                  range(Duration{0}, Duration{1h})));
   }
   friend void check_config(const PidConfig& config, const ConfigItem& item, Problems& problems) {
     if (!(config.least < config.most))

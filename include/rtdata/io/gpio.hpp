@@ -103,13 +103,16 @@ struct GpioInput {
   friend constexpr auto parameters(type_tag<GpioInput>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("line", &GpioInput::line, "its name (\"GPIO17\"), its number on the chip (17), or \"gpiochip0:17\"",
-                  required),
-        parameter("chip", &GpioInput::chip, "its chip, such as gpiochip0; empty: the one that has the line"),
-        parameter("bias", &GpioInput::bias, "the resistor in the chip"),
+        parameter(
+            "line", &GpioInput::line,
+            "name of the line (\"GPIO17\"), its number on the chip (17), or both chip and number (\"gpiochip0:17\")",
+            required),
+        parameter("chip", &GpioInput::chip, "chip of the line, such as gpiochip0; empty: the chip that has the line"),
+        parameter("bias", &GpioInput::bias, "pull-up or pull-down resistor in the chip"),
         parameter("active_low", &GpioInput::active_low, "the line is active when it is low"),
-        parameter("edges", &GpioInput::edges, "which of them count: a rising one makes the line active"),
-        parameter("debounce", &GpioInput::debounce, "a shorter level is ignored; 0: every edge counts",
+        parameter("edges", &GpioInput::edges, "which edges count; a rising edge makes the line active"),
+        parameter("debounce", &GpioInput::debounce,
+                  "a level that is shorter than this is ignored; 0: every edge counts",
                   range(Duration{0}, Duration{10s})));
   }
 };

@@ -54,8 +54,8 @@ struct I2cConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("device", &I2cConfig::device, "the adapter, such as /dev/i2c-1", required, TextIs::device),
-        parameter("retries", &I2cConfig::retries, "of a transfer that failed", range(0, 10)),
-        parameter("timeout", &I2cConfig::timeout, "a reading that takes the bus for longer is given up",
+        parameter("retries", &I2cConfig::retries, "how often a failed transfer is tried again", range(0, 10)),
+        parameter("timeout", &I2cConfig::timeout, "a reading that takes the bus for longer than this is given up",
                   range(Duration{1ms}, Duration{1h})));
   }
   friend Duration give_up_after(const I2cConfig& config) { return config.timeout; }
@@ -69,7 +69,8 @@ class I2cDevice : public BusDevice {
   struct Place {
     I2cAddress address = {};
     friend constexpr auto parameters(type_tag<Place>) {
-      return parameter_list(parameter("address", &Place::address, "of the chip on the bus, 7 bits, such as \"0x76\""));
+      return parameter_list(
+          parameter("address", &Place::address, "7-bit address of the chip on the bus, such as \"0x76\""));
     }
   };
 

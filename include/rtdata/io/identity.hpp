@@ -53,8 +53,8 @@ struct ConfigValue<IdentityCode> {
 template <class Config>
 constexpr auto identity_parameter(std::optional<IdentityCode> Config::*member) {
   return parameter("identity", member,
-                   "what the chip answers in place of the known identity, when it is a clone that you trust, such as "
-                   "\"0x98\"; another is refused. The log and recordings tell of it");
+                   "for a clone that you trust: the identity that it answers instead of the known one, such as "
+                   "\"0x98\"; any other is refused. The log and recordings mention it");
 }
 
 /// A Config with that parameter.

@@ -67,17 +67,18 @@ struct ModbusConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("device", &ModbusConfig::device, "RTU: the serial device", TextIs::device),
-        include_member(&ModbusConfig::serial), parameter("host", &ModbusConfig::host, "TCP: a name or an address"),
-        parameter("port", &ModbusConfig::port, "TCP: the port", range(1, 65535)),
-        parameter("rtu_over_tcp", &ModbusConfig::rtu_over_tcp,
-                  "TCP: the server passes bytes to a serial line, and they are those of RTU"),
-        parameter("echo", &ModbusConfig::echo, "RTU: the adapter sends back what it is given, which is dropped"),
+        include_member(&ModbusConfig::serial),
+        parameter("host", &ModbusConfig::host, "TCP: host name or IP address of the server"),
+        parameter("port", &ModbusConfig::port, "TCP: port of the server", range(1, 65535)),
+        parameter("rtu_over_tcp", &ModbusConfig::rtu_over_tcp, "TCP: the server passes RTU frames to a serial line"),
+        parameter("echo", &ModbusConfig::echo,
+                  "RTU: the adapter returns all bytes that are sent to it; they are discarded"),
         parameter("connect_delay", &ModbusConfig::connect_delay,
-                  "TCP: how long a server takes no requests after a connection was made",
+                  "TCP: how long to wait after connecting before the first request",
                   range(Duration{0}, Duration{1min})),
-        parameter("answer_timeout", &ModbusConfig::answer_timeout, "an answer that is not complete by then is missed",
+        parameter("answer_timeout", &ModbusConfig::answer_timeout, "time limit for a complete answer",
                   range(Duration{1ms}, Duration{10min})),
-        parameter("timeout", &ModbusConfig::timeout, "a reading that takes the bus for longer is given up",
+        parameter("timeout", &ModbusConfig::timeout, "a reading that takes the bus for longer than this is given up",
                   range(Duration{2ms}, Duration{1h})));
   }
   friend Duration give_up_after(const ModbusConfig& config) { return config.timeout; }

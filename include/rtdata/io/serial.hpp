@@ -70,17 +70,18 @@ struct SerialSettings {
   std::optional<Rs485> rs485 = {};  ///< the kernel switches the driver of an RS-485 line by RTS
 
   friend constexpr auto parameters(type_tag<SerialSettings>) {
-    return parameter_list(parameter("baud_rate", &SerialSettings::baud_rate, "speed, any that the device can do",
-                                    rtdata::unit("Bd"), range(1, 20000000)),
-                          parameter("character_size", &SerialSettings::character_size, "bits of a character",
-                                    rtdata::unit("bit"), range(5, 8)),
-                          parameter("parity", &SerialSettings::parity, "parity bit"),
-                          parameter("stop_bits", &SerialSettings::stop_bits, "stop bits", range(1, 2)),
-                          parameter("dtr", &SerialSettings::dtr, "the line DTR after opening; default: set"),
-                          parameter("rts", &SerialSettings::rts, "the line RTS after opening; default: set"),
-                          parameter("hangup", &SerialSettings::hangup, "closing clears DTR and RTS"),
-                          parameter("rs485", &SerialSettings::rs485,
-                                    "the kernel switches an RS-485 driver by RTS: its level while sending"));
+    return parameter_list(
+        parameter("baud_rate", &SerialSettings::baud_rate, "speed; any that the device supports", rtdata::unit("Bd"),
+                  range(1, 20000000)),
+        parameter("character_size", &SerialSettings::character_size, "bits of a character", rtdata::unit("bit"),
+                  range(5, 8)),
+        parameter("parity", &SerialSettings::parity, "parity bit"),
+        parameter("stop_bits", &SerialSettings::stop_bits, "stop bits", range(1, 2)),
+        parameter("dtr", &SerialSettings::dtr, "state of the line DTR after opening; default: set"),
+        parameter("rts", &SerialSettings::rts, "state of the line RTS after opening; default: set"),
+        parameter("hangup", &SerialSettings::hangup, "true: closing the device clears DTR and RTS"),
+        parameter("rs485", &SerialSettings::rs485,
+                  "the kernel switches an RS-485 driver with RTS; this is the level of RTS while sending"));
   }
   /// Checks that `rts` and `rs485` are not both there. Called by the checks of the types that include these settings.
   friend void check_config(const SerialSettings& settings, const ConfigItem& item, Problems& problems);
@@ -114,16 +115,18 @@ struct SerialPortConfig {
     return parameter_list(
         parameter("device", &SerialPortConfig::device, "the serial device", TextIs::device),
         parameter("host", &SerialPortConfig::host,
-                  "instead of `device`: an instrument or a serial server in the network"),
-        parameter("port", &SerialPortConfig::port, "its TCP port, such as 5025 for SCPI; 0: none", range(0, 65535)),
+                  "instead of `device`: host name or IP address of an instrument or a serial server"),
+        parameter("port", &SerialPortConfig::port, "TCP port of `host`, such as 5025 for SCPI; 0: none",
+                  range(0, 65535)),
         parameter("run", &SerialPortConfig::run,
                   "instead of `device`: a program of your own that answers each line on its standard input"),
         include_member(&SerialPortConfig::serial),
-        parameter("answer_timeout", &SerialPortConfig::answer_timeout,
-                  "an answer that is not complete by then is missed", range(Duration{1ms}, Duration{10min})),
-        parameter("timeout", &SerialPortConfig::timeout, "a reading that takes the port for longer is given up",
-                  range(Duration{2ms}, Duration{1h})),
-        parameter("echo", &SerialPortConfig::echo, "the adapter sends back what it is given, which is dropped"));
+        parameter("answer_timeout", &SerialPortConfig::answer_timeout, "time limit for a complete answer",
+                  range(Duration{1ms}, Duration{10min})),
+        parameter("timeout", &SerialPortConfig::timeout,
+                  "a reading that takes the port for longer than this is given up", range(Duration{2ms}, Duration{1h})),
+        parameter("echo", &SerialPortConfig::echo,
+                  "the adapter returns all bytes that are sent to it; they are discarded"));
   }
   friend Duration give_up_after(const SerialPortConfig& config) { return config.timeout; }
   /// Checks that there is one of `device`, `host` and `run`, and that `timeout` is longer than `answer_timeout`.

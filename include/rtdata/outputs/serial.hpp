@@ -42,19 +42,19 @@ struct SerialActuatorConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("device", &SerialActuatorConfig::device, "the serial device", TextIs::device),
-        parameter("host", &SerialActuatorConfig::host, "instead of `device`: the address of a device on the network"),
-        parameter("port", &SerialActuatorConfig::port, "with `host`: its TCP port", range(0, 65535)),
+        parameter("host", &SerialActuatorConfig::host, "instead of `device`: host name or IP address of the device"),
+        parameter("port", &SerialActuatorConfig::port, "with `host`: TCP port of the device", range(0, 65535)),
         include_member(&SerialActuatorConfig::serial),
         parameter("text", &SerialActuatorConfig::text, "what is sent; {value} stands for the value",
                   placeholders("value")),
         parameter("words", &SerialActuatorConfig::words,
-                  "the text in place of {value}, by value: {\"0\": \"off\", \"1\": \"on\"}"),
+                  "text that replaces {value}, for each value: {\"0\": \"off\", \"1\": \"on\"}"),
         parameter("words_hex", &SerialActuatorConfig::words_hex,
                   "instead of `text`: the bytes for each value: {\"0\": \"a0 01 00 a1\", \"1\": \"a0 01 01 a2\"}"),
         parameter("answer", &SerialActuatorConfig::answer,
-                  "what the device sends when it has the value; empty: it is not waited for"),
-        parameter("answer_hex", &SerialActuatorConfig::answer_hex, "the same as bytes"),
-        parameter("timeout", &SerialActuatorConfig::timeout, "for sending and the answer",
+                  "what the device answers when it has taken the value; empty: no answer is awaited"),
+        parameter("answer_hex", &SerialActuatorConfig::answer_hex, "the answer as bytes, in hexadecimal digits"),
+        parameter("timeout", &SerialActuatorConfig::timeout, "time limit for sending and the answer",
                   range(Duration{1ms}, Duration{1500ms})));
   }
   friend void check_config(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems) {

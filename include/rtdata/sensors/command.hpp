@@ -39,7 +39,8 @@ struct CommandConfig {
     return parameter_list(
         parameter("run", &CommandConfig::run, "the program and its arguments, such as [\"python3\", \"hx711.py\"]",
                   rtdata::required),
-        parameter("pty", &CommandConfig::pty, "it prints to a terminal, so that it does not hold lines back"),
+        parameter("pty", &CommandConfig::pty,
+                  "true: the program prints to a terminal, so that it does not hold lines back"),
         include_member(&CommandConfig::lines));
   }
 };

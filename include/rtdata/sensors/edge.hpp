@@ -47,13 +47,14 @@ struct EdgeConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         include_member(&EdgeConfig::input),
-        parameter("silence", &EdgeConfig::silence, "without an edge for longer, it is degraded and has a gap; 0: never",
+        parameter("silence", &EdgeConfig::silence,
+                  "after this time without an edge, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
-        parameter("retry_first", &EdgeConfig::retry_first, "wait before the program looks for a lost chip again",
+        parameter("retry_first", &EdgeConfig::retry_first, "first delay before the program looks for a lost chip again",
                   range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &EdgeConfig::retry_longest, "the wait doubles up to this",
+        parameter("retry_longest", &EdgeConfig::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
-        parameter("required", &EdgeConfig::required, "a line that cannot be used at the start ends the program"),
+        parameter("required", &EdgeConfig::required, "true: the program ends if the line cannot be used at the start"),
         parameter("start", &EdgeConfig::start, "start it with the system"));
   }
 };

@@ -27,9 +27,10 @@ constexpr auto parameters(type_tag<FeedConfig>) {
   using namespace std::chrono_literals;
   return parameter_list(
       parameter("name", &FeedConfig::name, "the origin of its events, unique in the file", required, TextIs::name),
-      parameter("topic", &FeedConfig::topic, "where it publishes; empty: as its name", TextIs::topic),
-      parameter("process", &FeedConfig::process, "calibration and filters, by field"),
-      parameter("warm_up", &FeedConfig::warm_up, "samples so soon after its source was opened are filtered",
+      parameter("topic", &FeedConfig::topic, "topic of its events; empty: its name", TextIs::topic),
+      parameter("process", &FeedConfig::process, "calibration and filters of each field"),
+      parameter("warm_up", &FeedConfig::warm_up,
+                "samples in this time after opening the source are discarded (counted as filtered)",
                 range(Duration{0}, Duration{24h})));
 }
 

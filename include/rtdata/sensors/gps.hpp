@@ -96,19 +96,21 @@ struct GpsConfig {
   friend constexpr auto parameters(type_tag<GpsConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("host", &GpsConfig::host, "where gpsd runs: a name or an address"),
-        parameter("port", &GpsConfig::port, "of gpsd", range(1, 65535)),
-        parameter("device", &GpsConfig::device, "the receiver, as gpsd names it; empty: the only one that gpsd has"),
-        parameter("silence", &GpsConfig::silence, "without a report for longer, it is degraded and has a gap; 0: never",
+        parameter("host", &GpsConfig::host, "host name or IP address of the computer that runs gpsd"),
+        parameter("port", &GpsConfig::port, "port of gpsd", range(1, 65535)),
+        parameter("device", &GpsConfig::device, "name of the receiver in gpsd; empty: the only one that gpsd has"),
+        parameter("silence", &GpsConfig::silence,
+                  "after this time without a report, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
         parameter("report_delay", &GpsConfig::report_delay,
-                  "from a fix to its report at most: the accuracy of the time of day that it gives; 0: it gives none",
+                  "longest delay from a fix to its report; this is the accuracy of the receiver's time of day; 0: its "
+                  "time is not used",
                   range(Duration{0}, Duration{1min})),
-        parameter("retry_first", &GpsConfig::retry_first, "wait before the program connects to a lost gpsd again",
-                  range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &GpsConfig::retry_longest, "the wait doubles up to this",
+        parameter("retry_first", &GpsConfig::retry_first,
+                  "first delay before the program connects to a lost gpsd again", range(Duration{1ms}, Duration{1h})),
+        parameter("retry_longest", &GpsConfig::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
-        parameter("required", &GpsConfig::required, "gpsd that cannot be reached at the start ends the program"),
+        parameter("required", &GpsConfig::required, "true: the program ends if gpsd cannot be reached at the start"),
         parameter("start", &GpsConfig::start, "start it with the system"));
   }
 };

@@ -181,7 +181,7 @@ struct HostConfig {
   friend constexpr auto parameters(type_tag<HostConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("quantity", &HostConfig::quantity, "what is read", required),
+        parameter("quantity", &HostConfig::quantity, "what to read", required),
         parameter("device", &HostConfig::device, "which CPU, disk, network interface, thermometer, or input of hwmon",
                   only_with("quantity", "cpu", "disk", "network", "temperature", "frequency", "voltage", "current",
                             "power", "fan", "humidity", "energy")),

@@ -46,9 +46,9 @@ struct IioConfig {
   friend constexpr auto parameters(type_tag<IioConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("device", &IioConfig::device, "the IIO device: its name, label, number or path", required,
+        parameter("device", &IioConfig::device, "name, label, number or path of the IIO device", required,
                   TextIs::device),
-        parameter("channels", &IioConfig::channels, "what is read, such as accel_x or voltage0", required,
+        parameter("channels", &IioConfig::channels, "channels to read, such as accel_x or voltage0", required,
                   TextIs::recorded),
         parameter("root", &IioConfig::root, "prefix of /sys, such as the host's root folder in a container",
                   TextIs::device),
@@ -76,26 +76,28 @@ struct IioBufferConfig {
     using namespace std::chrono_literals;
     using C = IioBufferConfig;
     return parameter_list(
-        parameter("device", &C::device, "the IIO device: its name, label, number or path", rtdata::required,
+        parameter("device", &C::device, "name, label, number or path of the IIO device", rtdata::required,
                   TextIs::device),
-        parameter("channels", &C::channels, "what is in a scan, such as accel_x or voltage0", rtdata::required,
+        parameter("channels", &C::channels, "channels of a scan, such as accel_x or voltage0", rtdata::required,
                   TextIs::recorded),
-        parameter("trigger", &C::trigger, "name of the trigger; empty: the device's own, or the one that it has",
-                  TextIs::recorded),
-        parameter("rate", &C::rate, "scans a second, set in the trigger or the device; unset: left as it is"),
-        parameter("length", &C::length, "scans that the kernel's buffer holds", range(2, 65536)),
-        parameter("watermark", &C::watermark, "scans that are taken at a time: more cost less, and come later",
+        parameter("trigger", &C::trigger,
+                  "name of the trigger; empty: the device's own, or the one that is set already", TextIs::recorded),
+        parameter("rate", &C::rate, "scans per second, set in the trigger or the device; unset: unchanged"),
+        parameter("length", &C::length, "number of scans that the kernel's buffer holds", range(2, 65536)),
+        parameter("watermark", &C::watermark,
+                  "number of scans that are read at a time; more need less processor time, but arrive later",
                   range(1, 65536)),
         parameter("root", &C::root, "prefix of /sys and /dev, such as the host's root folder in a container",
                   TextIs::device),
         parameter("timeout", &C::timeout, "opening that takes longer is given up", range(Duration{1ms}, Duration{1h})),
-        parameter("silence", &C::silence, "silent for longer, it is degraded and has a gap; 0: never",
+        parameter("silence", &C::silence,
+                  "after this time without data, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
-        parameter("retry_first", &C::retry_first, "wait before a lost device is opened again",
+        parameter("retry_first", &C::retry_first, "first delay before a lost device is opened again",
                   range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &C::retry_longest, "the wait doubles up to this",
+        parameter("retry_longest", &C::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
-        parameter("required", &C::required, "true: if the device cannot be opened at the start, the program ends"),
+        parameter("required", &C::required, "true: the program ends if the device cannot be opened at the start"),
         parameter("start", &C::start, "start it with the system"));
   }
 };

@@ -101,7 +101,7 @@ struct LineField {
 
   friend constexpr auto parameters(type_tag<LineField>) {
     return parameter_list(
-        parameter("name", &LineField::name, "name of the field; without one the column is not kept", TextIs::field),
+        parameter("name", &LineField::name, "name of the field; without a name the column is skipped", TextIs::field),
         parameter("type", &LineField::type, "type of the value",
                   choices(value("bool", Kind::boolean), value("char", Kind::character), value("int8", Kind::i8),
                           value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
@@ -112,33 +112,32 @@ struct LineField {
         parameter("scale", &LineField::scale, "factor, for float and double", not_zero,
                   only_with("type", "float", "double")),
         parameter("key", &LineField::key,
-                  "JSON: where it is, levels separated by dots; labels: the label; empty: as the name"),
-        parameter("column", &LineField::column, "labels: which of the columns after the label", range(1, 64)),
-        parameter("at", &LineField::at, "binary: the first byte in the frame, from 0", range(0, 65535)),
+                  "JSON: path of the value, with dots between levels; labels: the label; empty: the name"),
+        parameter("column", &LineField::column, "labels: number of the column after the label", range(1, 64)),
+        parameter("at", &LineField::at, "binary: position of the first byte in the frame, from 0", range(0, 65535)),
         parameter("wire", &LineField::wire,
-                  "binary: its type in the frame, if it is another; pattern: its group is bytes of this type",
+                  "binary: the type in the frame, if it differs from `type`; pattern: the group contains raw bytes of "
+                  "this type",
                   choices(value("int8", Kind::i8), value("int16", Kind::i16), value("int32", Kind::i32),
                           value("int64", Kind::i64), value("uint8", Kind::u8), value("uint16", Kind::u16),
                           value("uint32", Kind::u32), value("uint64", Kind::u64), value("float", Kind::f32),
                           value("double", Kind::f64))),
         parameter("bytes", &LineField::bytes,
-                  "binary: how many bytes a whole number has, such as 3; 0: as its type has", range(0, 8)),
-        parameter("bit", &LineField::bit, "binary: the only bit of its bytes that is meant; 0 is the lowest",
-                  range(0, 63)),
-        parameter("mask", &LineField::mask, "binary: the bits that are meant, moved down to bit 0; default: all"),
+                  "binary: number of bytes of a whole number, such as 3; 0: as many as its type has", range(0, 8)),
+        parameter("bit", &LineField::bit, "binary: the value is this bit of the bytes; 0 is the lowest", range(0, 63)),
+        parameter("mask", &LineField::mask,
+                  "binary: the value is these bits of the bytes, moved down to bit 0; default: all"),
         parameter("bcd", &LineField::bcd, "binary: each byte is two decimal digits"),
-        parameter("length", &LineField::length, "of a text: the most bytes it may have", range(1, 255),
-                  only_with("type", "text")),
-        parameter("optional", &LineField::optional, "an empty column, null or a missing key is no value"),
+        parameter("length", &LineField::length, "longest text, in bytes", range(1, 255), only_with("type", "text")),
+        parameter("optional", &LineField::optional, "true: an empty column, null or a missing key means no value"),
         parameter("prefix", &LineField::prefix, "what the value begins with, such as \"T=\""),
         parameter("suffix", &LineField::suffix, "what the value ends with, such as \" kg\""),
         parameter("decimal", &LineField::decimal, "the decimal mark: a point or a comma"),
-        parameter("thousands", &LineField::thousands, "a character that may stand between the digits of a number"),
-        parameter("base", &LineField::base, "of whole numbers: 16 for \"1F\" and \"0x1f\"", range(2, 16)),
-        parameter("sign_blanks", &LineField::sign_blanks, "blanks may stand between sign and digits"),
-        parameter(
-            "no_value", &LineField::no_value,
-            "texts, also of numbers, that stand for no value, such as [\"-9999\", \"OL\"]; the field is optional"),
+        parameter("thousands", &LineField::thousands, "character that is allowed between groups of digits of a number"),
+        parameter("base", &LineField::base, "base of whole numbers: 16 for \"1F\" and \"0x1f\"", range(2, 16)),
+        parameter("sign_blanks", &LineField::sign_blanks, "true: blanks are allowed between sign and digits"),
+        parameter("no_value", &LineField::no_value,
+                  "texts, also numbers, that mean no value, such as [\"-9999\", \"OL\"]; the field is optional"),
         parameter("words", &LineField::words, "numbers for words: {\"ON\": 1, \"OFF\": 0}; they are not scaled"));
   }
 };
@@ -180,14 +179,14 @@ struct LineMatch {
 
   friend constexpr auto parameters(type_tag<LineMatch>) {
     return parameter_list(
-        parameter("column", &LineMatch::column, "CSV: the column that is looked at, from 1; 0: the whole line",
+        parameter("column", &LineMatch::column, "CSV: number of the column to compare, from 1; 0: the whole line",
                   range(0, 1000)),
-        parameter("key", &LineMatch::key, "JSON: the value that is looked at; labels: the label"),
-        parameter("is", &LineMatch::is, "it is one of these"),
-        parameter("begins", &LineMatch::begins, "it begins with this"),
-        parameter("contains", &LineMatch::contains, "it contains this"),
-        parameter("pattern", &LineMatch::pattern, "this regular expression is found in it"),
-        parameter("at", &LineMatch::at, "binary: the byte that is looked at, from 0", range(0, 65535)),
+        parameter("key", &LineMatch::key, "JSON: path of the value to compare; labels: the label"),
+        parameter("is", &LineMatch::is, "the text is one of these"),
+        parameter("begins", &LineMatch::begins, "the text begins with this"),
+        parameter("contains", &LineMatch::contains, "the text contains this"),
+        parameter("pattern", &LineMatch::pattern, "this regular expression matches in the text"),
+        parameter("at", &LineMatch::at, "binary: position of the first byte to compare, from 0", range(0, 65535)),
         parameter("is_hex", &LineMatch::is_hex, "binary: the bytes there are one of these, such as [\"01 07\"]"));
   }
 };
@@ -256,20 +255,23 @@ struct LineChecksum {
 
   friend constexpr auto parameters(type_tag<LineChecksum>) {
     return parameter_list(
-        parameter("type", &LineChecksum::type, "how it is computed", rtdata::required),
+        parameter("type", &LineChecksum::type, "how the checksum is computed", rtdata::required),
         parameter("form", &LineChecksum::form,
-                  "written as digits, as bytes with the high one first (big) or last (little), or as one character"),
-        parameter("after", &LineChecksum::after, "what stands before it, such as \"*\""),
-        parameter("covers_after", &LineChecksum::covers_after, "it covers `after` too"),
-        parameter("from", &LineChecksum::from, "bytes at the beginning that it does not cover", range(0, 65535)),
-        parameter("before", &LineChecksum::before, "bytes before it that it does not cover", range(0, 65535)),
-        parameter("behind", &LineChecksum::behind, "bytes of the frame that follow it", range(0, 64)),
+                  "how the checksum is written: as hexadecimal digits, as bytes with the high one first (big) or last "
+                  "(little), or as one character"),
+        parameter("after", &LineChecksum::after, "text before the checksum, such as \"*\""),
+        parameter("covers_after", &LineChecksum::covers_after, "true: the checksum also covers `after`"),
+        parameter("from", &LineChecksum::from, "number of bytes at the beginning that the checksum does not cover",
+                  range(0, 65535)),
+        parameter("before", &LineChecksum::before, "number of bytes before the checksum that it does not cover",
+                  range(0, 65535)),
+        parameter("behind", &LineChecksum::behind, "number of bytes of the frame after the checksum", range(0, 64)),
         parameter("complement", &LineChecksum::complement,
-                  "of a sum: each bit of it turned over (ones), or its negative (twos)"),
+                  "sum8, sum16: the sum with all bits inverted (ones), or its negative (twos)"),
         parameter("append_hex", &LineChecksum::append_hex,
-                  "bytes that it covers too, and that are not sent, such as MAVLink's extra byte"),
-        parameter("optional", &LineChecksum::optional, "a line without `after` has none"),
-        parameter("of", &LineChecksum::of, "what it protects: all, or each row of labels"));
+                  "bytes that the checksum also covers, although they are not sent, such as MAVLink's extra byte"),
+        parameter("optional", &LineChecksum::optional, "true: a line without `after` has no checksum"),
+        parameter("of", &LineChecksum::of, "what the checksum protects: the whole line, or each row of labels"));
   }
 };
 
@@ -289,18 +291,20 @@ struct LineFrame {
   friend constexpr auto parameters(type_tag<LineFrame>) {
     return parameter_list(
         parameter("start", &LineFrame::start, "what a frame begins with"),
-        parameter("start_hex", &LineFrame::start_hex, "the same as bytes, such as \"42 4d\""),
-        parameter("end", &LineFrame::end, "what it ends with"),
-        parameter("end_hex", &LineFrame::end_hex, "the same as bytes"),
-        parameter("after_end", &LineFrame::after_end, "bytes behind `end` that belong to it", range(0, 64)),
-        parameter("length", &LineFrame::length, "how long all of it is", rtdata::unit("By"), range(0, 65536)),
-        parameter("length_at", &LineFrame::length_at, "the byte where it says how long it is, from 0; 0: nowhere",
+        parameter("start_hex", &LineFrame::start_hex, "the start as bytes, such as \"42 4d\""),
+        parameter("end", &LineFrame::end, "what a frame ends with"),
+        parameter("end_hex", &LineFrame::end_hex, "the end as bytes"),
+        parameter("after_end", &LineFrame::after_end, "number of bytes after `end` that belong to the frame",
                   range(0, 64)),
-        parameter("length_bytes", &LineFrame::length_bytes, "bytes of that number", range(1, 2)),
-        parameter("length_adds", &LineFrame::length_adds, "bytes of the frame that it does not count", range(0, 64)),
+        parameter("length", &LineFrame::length, "length of the whole frame", rtdata::unit("By"), range(0, 65536)),
+        parameter("length_at", &LineFrame::length_at,
+                  "position of the length in the frame, from 0; 0: a frame does not contain its length", range(0, 64)),
+        parameter("length_bytes", &LineFrame::length_bytes, "number of bytes of the length", range(1, 2)),
+        parameter("length_adds", &LineFrame::length_adds, "number of bytes of the frame that the length does not count",
+                  range(0, 64)),
         parameter("stuffing", &LineFrame::stuffing,
-                  "instead of all these: frames of SLIP (c0), HDLC (7e) or COBS (00), whose bytes are put back"),
-        parameter("byte_order", &LineFrame::byte_order, "of that number, and of binary fields"));
+                  "instead of the settings above: SLIP (c0), HDLC (7e) or COBS (00) frames, which are unescaped"),
+        parameter("byte_order", &LineFrame::byte_order, "byte order of the length and of binary fields"));
   }
 };
 
@@ -312,8 +316,8 @@ struct DeviceTime {
   friend constexpr auto parameters(type_tag<DeviceTime>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("field", &DeviceTime::field, "the field that counts", TextIs::field, rtdata::required),
-        parameter("step", &DeviceTime::step, "what one more in it is, such as \"1 us\"",
+        parameter("field", &DeviceTime::field, "the field with the device's clock", TextIs::field, rtdata::required),
+        parameter("step", &DeviceTime::step, "time of one count, such as \"1 us\"",
                   range(Duration{1ns}, Duration{1h})));
   }
 };
@@ -342,36 +346,38 @@ struct LineConfig {
   friend constexpr auto parameters(type_tag<LineConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("format", &LineConfig::format, "how a line is written"),
-        parameter("fields", &LineConfig::fields, "what is in a line; not with `format` nmea",
+        parameter("format", &LineConfig::format, "format of a line"),
+        parameter("fields", &LineConfig::fields, "values in a line; not with `format` nmea",
                   only_with("format", "csv", "json", "labels", "binary", "pattern")),
         parameter("pattern", &LineConfig::pattern, "a regular expression with a named group for each field",
                   only_with("format", "pattern")),
-        parameter("separator", &LineConfig::separator, "between the columns of CSV, or label and value",
+        parameter("separator", &LineConfig::separator,
+                  "character between the columns of CSV, or between label and value",
                   only_with("format", "csv", "labels")),
-        parameter("comment", &LineConfig::comment, "lines that begin with it are skipped",
+        parameter("comment", &LineConfig::comment, "lines that begin with this text are skipped",
                   only_with("format", "csv", "json", "labels", "binary", "pattern")),
         parameter("line_end", &LineConfig::line_end, "the character that ends a line"),
-        parameter("frame", &LineConfig::frame, "what an event is, if it is not a line"),
-        parameter("only", &LineConfig::only, "the lines that are meant; others are left out, and count as filtered"),
+        parameter("frame", &LineConfig::frame, "how a frame begins and ends, if the device does not send lines"),
+        parameter("only", &LineConfig::only, "which lines become events; others are skipped and count as filtered"),
         parameter("unreadable_if", &LineConfig::unreadable_if, "lines by which the device says that it has no value"),
-        parameter("checksum", &LineConfig::checksum, "how a line is protected; a wrong one makes it unreadable"),
-        parameter("skip_lines", &LineConfig::skip_lines, "lines skipped after each opening, such as a heading",
-                  range(0, 1000000)),
+        parameter("checksum", &LineConfig::checksum, "checksum of a line; a line with a wrong checksum is unreadable"),
+        parameter("skip_lines", &LineConfig::skip_lines,
+                  "number of lines that are skipped after each opening, such as a heading", range(0, 1000000)),
         parameter("first_line", &LineConfig::first_line,
-                  "what comes first after opening may be half a line: discard or keep it"),
+                  "the first line after opening may be incomplete: discard or keep it"),
         parameter("max_line", &LineConfig::max_line, "a longer line is unreadable", rtdata::unit("By"),
                   range(16, 65536)),
-        parameter("sequence_field", &LineConfig::sequence_field, "the field by which the device numbers its lines",
+        parameter("sequence_field", &LineConfig::sequence_field, "the field in which the device numbers its lines",
                   TextIs::field, only_with("format", "csv", "json", "labels", "binary", "pattern")),
         parameter("device_time", &LineConfig::device_time,
-                  "the field that is the device's clock, by which events have times",
+                  "the field with the device's clock, from which the times of events follow",
                   only_with("format", "csv", "json", "labels", "binary", "pattern")),
-        parameter("silence", &LineConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
+        parameter("silence", &LineConfig::silence,
+                  "after this time without data, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
-        parameter("retry_first", &LineConfig::retry_first, "wait before a lost device is opened again",
+        parameter("retry_first", &LineConfig::retry_first, "first delay before a lost device is opened again",
                   range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &LineConfig::retry_longest, "the wait doubles up to this",
+        parameter("retry_longest", &LineConfig::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
         parameter("start", &LineConfig::start, "start it with the system"));
   }

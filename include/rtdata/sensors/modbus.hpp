@@ -66,8 +66,9 @@ struct ModbusField {
   friend constexpr auto parameters(type_tag<ModbusField>) {
     return parameter_list(
         parameter("name", &ModbusField::name, "name of the field", required, TextIs::field),
-        parameter("table", &ModbusField::table, "its table: registers (holding, input) or bits (coil, discrete)"),
-        parameter("address", &ModbusField::address, "of its first register or bit, from 0", required),
+        parameter("table", &ModbusField::table,
+                  "table of the value: registers (holding, input) or bits (coil, discrete)"),
+        parameter("address", &ModbusField::address, "address of the first register or bit, from 0", required),
         parameter("type", &ModbusField::type, "type of the value in the registers",
                   choices(value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
                           value("uint16", Kind::u16), value("uint32", Kind::u32), value("uint64", Kind::u64),
@@ -76,15 +77,15 @@ struct ModbusField {
         parameter("scale", &ModbusField::scale, "factor", not_zero, only_with("table", "holding", "input")),
         parameter("offset", &ModbusField::offset, "added after scaling", only_with("table", "holding", "input")),
         parameter("unit", &ModbusField::unit, "unit of the value (UCUM)", TextIs::unit),
-        parameter("no_value", &ModbusField::no_value, "the raw numbers that mean no value, such as [-32768]",
+        parameter("no_value", &ModbusField::no_value, "raw numbers that mean no value, such as [-32768]",
                   only_with("table", "holding", "input")),
-        parameter("word_order", &ModbusField::word_order, "default: the sensor's",
+        parameter("word_order", &ModbusField::word_order, "order of its bytes; default: `word_order` of the sensor",
                   only_with("table", "holding", "input")),
-        parameter("registers", &ModbusField::registers, "of a text: how many it has", range(1, 125),
+        parameter("registers", &ModbusField::registers, "number of registers of a text", range(1, 125),
                   only_with("type", "text")),
-        parameter("bit", &ModbusField::bit, "the only bit of the number to publish, as a bool; 0 is the lowest",
+        parameter("bit", &ModbusField::bit, "publishes only this bit of the number, as a bool; 0 is the lowest",
                   range(0, 63), only_with("table", "holding", "input")),
-        parameter("mask", &ModbusField::mask, "the bits of the number to publish, moved down to bit 0; default: all",
+        parameter("mask", &ModbusField::mask, "publishes these bits of the number, moved down to bit 0; default: all",
                   at_least(1), only_with("table", "holding", "input")),
         parameter("scale_from", &ModbusField::scale_from,
                   "address of the register with the power of ten to multiply by (SunSpec's scale factor)",
@@ -108,13 +109,15 @@ class Modbus {
     unsigned most_registers = ModbusDevice::most_registers;  ///< of one request
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("fields", &Config::fields, "what is read", required),
-          parameter(
-              "word_order", &Config::word_order,
-              "the bytes of numbers, the highest of four called a; badc and dcba swap those of one register, too"),
-          parameter("gap", &Config::gap, "addresses that may be read along though no field has them", range(0, 120)),
+          parameter("fields", &Config::fields, "values to read", required),
+          parameter("word_order", &Config::word_order,
+                    "order of the bytes of numbers: a is the highest of four; badc and dcba also swap the bytes within "
+                    "a register"),
+          parameter("gap", &Config::gap,
+                    "number of addresses between two fields that may be read although no field has them",
+                    range(0, 120)),
           parameter("most_registers", &Config::most_registers,
-                    "registers of a request at most; requests are divided by it, fields are not", range(1, 125)));
+                    "most registers of a request; a field is never divided between two requests", range(1, 125)));
     }
     /// Checks that the fields can be read and described.
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);

@@ -63,18 +63,20 @@ struct PpsConfig {
     return parameter_list(
         parameter("device", &PpsConfig::device, "the source of pulses, such as pps0", TextIs::recorded),
         parameter("edge", &PpsConfig::edge, "which edge of a pulse counts"),
-        parameter("accuracy", &PpsConfig::accuracy,
-                  "how far a pulse, as the kernel sees it, may be from the second; 0: it is not a source of the time",
-                  range(Duration{0}, Duration{100ms})),
-        parameter("silence", &PpsConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
+        parameter(
+            "accuracy", &PpsConfig::accuracy,
+            "longest time from the full second to a pulse, as the kernel sees it; 0: the pulses are not a time source",
+            range(Duration{0}, Duration{100ms})),
+        parameter("silence", &PpsConfig::silence,
+                  "after this time without data, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
         parameter("root", &PpsConfig::root, "prefix of /sys, such as the host's root folder in a container",
                   TextIs::device),
-        parameter("retry_first", &PpsConfig::retry_first, "wait before a lost source is opened again",
+        parameter("retry_first", &PpsConfig::retry_first, "first delay before a lost source is opened again",
                   range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &PpsConfig::retry_longest, "the wait doubles up to this",
+        parameter("retry_longest", &PpsConfig::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
-        parameter("required", &PpsConfig::required, "a source that is not there at the start ends the program"),
+        parameter("required", &PpsConfig::required, "true: the program ends if the source does not exist at the start"),
         parameter("start", &PpsConfig::start, "start it with the system"));
   }
 };

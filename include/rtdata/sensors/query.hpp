@@ -69,32 +69,35 @@ class Query {
     std::optional<LineChecksum> checksum = {};
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("request", &Config::request, "what is sent, with its end"),
+          parameter("request", &Config::request, "what is sent, including its end"),
           parameter("request_hex", &Config::request_hex, "instead of `request`: bytes, such as \"02 4d 0d\""),
           parameter("at_open", &Config::at_open, "what is sent after each opening of the port"),
-          parameter("at_open_hex", &Config::at_open_hex, "the same as bytes, sent behind these"),
-          parameter(
-              "at_open_answers", &Config::at_open_answers,
-              "the device answers each of these, not only questions (?): the answers are waited for, and dropped"),
+          parameter("at_open_hex", &Config::at_open_hex, "bytes that are sent after `at_open`"),
+          parameter("at_open_answers", &Config::at_open_answers,
+                    "true: the device answers each command of `at_open`, not only queries (?); the answers are read "
+                    "and discarded"),
           parameter("prepare", &Config::prepare,
-                    "what is sent before each request, such as the start of a measurement; each is answered"),
-          parameter("prepare_hex", &Config::prepare_hex, "the same as bytes, sent behind these"),
-          parameter("prepare_wait", &Config::prepare_wait, "behind their answers, for the device to measure",
+                    "what is sent before each request, such as the start of a measurement; the device answers each"),
+          parameter("prepare_hex", &Config::prepare_hex, "bytes that are sent after `prepare`"),
+          parameter("prepare_wait", &Config::prepare_wait,
+                    "how long to wait after the answers to `prepare`, while the device measures",
                     range(Duration{0}, Duration{std::chrono::minutes{10}})),
           parameter("answer_end", &Config::answer_end, "the character that ends an answer"),
-          parameter("skip_lines", &Config::skip_lines, "lines before the answer, such as an echo", range(0, 100)),
-          parameter("format", &Config::format, "how the answer is written",
+          parameter("skip_lines", &Config::skip_lines, "number of lines before the answer, such as an echo",
+                    range(0, 100)),
+          parameter("format", &Config::format, "format of the answer",
                     choices(value("csv", LineFormat::csv), value("json", LineFormat::json),
                             value("labels", LineFormat::labels), value("binary", LineFormat::binary),
                             value("pattern", LineFormat::pattern))),
-          parameter("fields", &Config::fields, "what is in the answer", required),
-          parameter("separator", &Config::separator, "between the columns of CSV, or label and value",
+          parameter("fields", &Config::fields, "values in the answer", required),
+          parameter("separator", &Config::separator, "character between the columns of CSV, or between label and value",
                     only_with("format", "csv", "labels")),
           parameter("pattern", &Config::pattern, "a regular expression with a named group for each field",
                     only_with("format", "pattern")),
-          parameter("frame", &Config::frame, "what the answer is, if it is not a line"),
+          parameter("frame", &Config::frame, "how the answer begins and ends, if it is not a line"),
           parameter("unreadable_if", &Config::unreadable_if, "answers by which the device says that it has no value"),
-          parameter("checksum", &Config::checksum, "how the answer is protected; a wrong one makes it unreadable"));
+          parameter("checksum", &Config::checksum,
+                    "checksum of the answer; an answer with a wrong checksum is unreadable"));
     }
     /// Checks that there is one request, and that `fields` fit the other settings.
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);

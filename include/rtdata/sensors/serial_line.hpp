@@ -43,11 +43,12 @@ struct SerialConfig {
     return parameter_list(
         parameter("device", &SerialConfig::device, "the serial device", rtdata::required, TextIs::device),
         include_member(&SerialConfig::serial),
-        parameter("at_open", &SerialConfig::at_open, "what is sent after each opening, such as what starts the device"),
-        parameter("at_open_hex", &SerialConfig::at_open_hex, "the same as bytes, sent behind these"),
+        parameter("at_open", &SerialConfig::at_open,
+                  "what is sent after each opening, such as a command that starts the device"),
+        parameter("at_open_hex", &SerialConfig::at_open_hex, "bytes that are sent after `at_open`"),
         include_member(&SerialConfig::lines),
         parameter("required", &SerialConfig::required,
-                  "true: if the device cannot be opened at the start, the program ends"));
+                  "true: the program ends if the device cannot be opened at the start"));
   }
 };
 

@@ -43,17 +43,17 @@ struct TcpLinesConfig {
   friend constexpr auto parameters(type_tag<TcpLinesConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("host", &TcpLinesConfig::host, "name or address of the device"),
-        parameter("port", &TcpLinesConfig::port, "its TCP port; with `listen`, that of this machine", range(1, 65535),
-                  rtdata::required),
+        parameter("host", &TcpLinesConfig::host, "host name or IP address of the device"),
+        parameter("port", &TcpLinesConfig::port, "TCP port of the device; with `listen`, of this computer",
+                  range(1, 65535), rtdata::required),
         parameter("listen", &TcpLinesConfig::listen,
-                  "instead of `host`: the address of this machine to which the device connects, "
-                  "\"0.0.0.0\" for all of them"),
+                  "instead of `host`: address of this computer to which the device connects, \"0.0.0.0\" for all its "
+                  "addresses"),
         parameter("from", &TcpLinesConfig::from, "with `listen`: the address of the only device that may connect"),
-        parameter("connect_timeout", &TcpLinesConfig::connect_timeout, "how long it may take to connect",
+        parameter("connect_timeout", &TcpLinesConfig::connect_timeout, "time limit for connecting",
                   range(Duration{10ms}, Duration{1min})),
         parameter("at_open", &TcpLinesConfig::at_open, "what is sent after each connection"),
-        parameter("at_open_hex", &TcpLinesConfig::at_open_hex, "the same as bytes, sent behind these"),
+        parameter("at_open_hex", &TcpLinesConfig::at_open_hex, "bytes that are sent after `at_open`"),
         include_member(&TcpLinesConfig::lines));
   }
 };

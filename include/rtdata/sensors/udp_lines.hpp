@@ -39,10 +39,11 @@ struct UdpLinesConfig {
 
   friend constexpr auto parameters(type_tag<UdpLinesConfig>) {
     return parameter_list(
-        parameter("port", &UdpLinesConfig::port, "the UDP port of this machine", range(1, 65535), rtdata::required),
+        parameter("port", &UdpLinesConfig::port, "UDP port of this computer", range(1, 65535), rtdata::required),
         parameter("address", &UdpLinesConfig::address,
-                  "of this machine, \"0.0.0.0\" for all of them, or of a multicast group"),
-        parameter("from", &UdpLinesConfig::from, "the address of the only sender that is meant; others are left out"),
+                  "address of this computer, \"0.0.0.0\" for all its addresses, or address of a multicast group"),
+        parameter("from", &UdpLinesConfig::from,
+                  "address of the only sender; datagrams of other senders count as filtered"),
         include_member(&UdpLinesConfig::lines));
   }
 };

@@ -39,20 +39,22 @@ struct VerticalConfig {
     using namespace std::chrono_literals;
     using C = VerticalConfig;
     return parameter_list(
-        parameter("barometer", &C::barometer, "its topic; empty: there is none", names_part("topic")),
+        parameter("barometer", &C::barometer, "topic of the barometer; empty: no barometer", names_part("topic")),
         parameter("height", &C::height,
-                  "path of its field, of heights or pressures; default: `value`, or the only number", TextIs::recorded),
-        parameter("accelerometer", &C::accelerometer, "its topic; empty: there is none", names_part("topic")),
-        parameter("acceleration", &C::acceleration,
-                  "path of its field along the axis, 1 g at rest; default: `value`, or the only number",
+                  "path of the field with the height or pressure; default: `value`, or the only number",
                   TextIs::recorded),
+        parameter("accelerometer", &C::accelerometer, "topic of the accelerometer; empty: no accelerometer",
+                  names_part("topic")),
         parameter(
-            "burn", &C::burn,
-            "after the liftoff, while no accelerometer says how fast it is, the barometer is left out for so long",
-            rtdata::range(Duration{0}, Duration{1min})),
-        parameter("noise", &C::noise, "of the barometer, at least; what is more is found by itself", unit("m"),
-                  rtdata::range(0.01, 100.0)),
-        parameter("range", &C::range, "end of the accelerometer's range; 0: found by values that repeat there",
+            "acceleration", &C::acceleration,
+            "path of the field with the acceleration along the axis, 1 g at rest; default: `value`, or the only number",
+            TextIs::recorded),
+        parameter("burn", &C::burn,
+                  "how long the barometer is ignored after liftoff, if no accelerometer gives the speed",
+                  rtdata::range(Duration{0}, Duration{1min})),
+        parameter("noise", &C::noise, "least noise assumed for the barometer; more noise is detected automatically",
+                  unit("m"), rtdata::range(0.01, 100.0)),
+        parameter("range", &C::range, "end of the accelerometer's range; 0: detected from values that repeat there",
                   unit("[g]"), rtdata::range(0.0, 1000.0)));
   }
 };
