@@ -98,7 +98,7 @@ class MachineNode final : public Node {
     check_use("cannot start");
     if (current_ != nullptr || going_to_ != nullptr) return;
     StateEntry& state = table_.entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
-    if (!config_.failure.empty()) (void)table_.entry(config_.failure, "cannot have as the state after failures");
+    if (!config_.failure.empty()) (void)table_.entry(config_.failure, "cannot use as the state after failures");
     const rtdata::detail::Call call(*this);
     const LoopCore::Calling calling(loop()->runtime);
     is_busy_ = true;
@@ -176,7 +176,7 @@ class MachineNode final : public Node {
     if (waiting_ == queue_.size()) {
       ++counts_.dropped;
       return report(Errc::backlog, "an event was dropped", event >= no_event ? "of an input" : table_.events()[event],
-                    std::to_string(queue_.size()) + " wait for the end of a change already",
+                    std::to_string(queue_.size()) + " events are already waiting for the end of a change",
                     "raise fewer in one action");
     }
     queue_[(first_ + waiting_++) % queue_.size()] = {event, time};

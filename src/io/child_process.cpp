@@ -169,9 +169,10 @@ class Endings {
 Result<Child> start_child(const std::vector<std::string>& run, ChildPrints prints) {
   const bool prints_to_terminal = prints != ChildPrints::to_pipe, is_asked = prints == ChildPrints::answers;
   const auto failure = [&](int error_number) {
-    return system_error(
-        error_number, what, run.front(),
-        error_number == ENOENT ? "check the first word of `run`: it is a program, not a shell's line" : "check `run`");
+    return system_error(error_number, what, run.front(),
+                        error_number == ENOENT
+                            ? "check the first word of `run`: it must be a program, not a line of shell commands"
+                            : "check `run`");
   };
   Descriptor master, slave, read_output, write_output, read_errors, write_errors, read_failed, write_failed;
   const Descriptor input(::open("/dev/null", O_RDONLY | O_CLOEXEC));

@@ -39,10 +39,10 @@ constexpr std::array<LineWords, 3> words_of_lines{{
      "unplug the device, and plug it in again", "lost the serial line", "the device has disappeared",
      "check the plug and the cable; it is opened again when it is back"},
     {"cannot write to the server", "cannot connect", "an earlier attempt still hangs",
-     "is the name server away? `host` may be an address", "lost the connection", "the server has closed it",
+     "check the name server, or set `host` to an IP address", "lost the connection", "the server has closed it",
      "it is opened again when it is back"},
     {"cannot write to the program", "cannot start the program", "an earlier attempt still hangs",
-     "does its disk answer?", "lost the program", "it has ended, or closed its terminal",
+     "check the disk of the program", "lost the program", "it has ended, or closed its terminal",
      "check the program: `run` it by hand; it is started again"},
 }};
 const LineWords& words_of(StreamLine::Kind::Sort sort) noexcept {
@@ -120,8 +120,8 @@ Result<void> StreamLine::write(std::span<const std::uint8_t> bytes, Duration tim
       if (!ready) return ready.error();
       if (!*ready)
         return Error{Errc::timed_out, words_of(kind_.sort).cannot_write, kind_.name,
-                     std::to_string(bytes.size()) + " bytes were not taken in " + to_string(timeout),
-                     "is the device stopped?"};
+                     std::to_string(bytes.size()) + " bytes were not accepted within " + to_string(timeout),
+                     "check whether the device is stopped"};
     } else if (number != EINTR) {
       return gone(*line, number);
     }

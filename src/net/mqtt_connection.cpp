@@ -116,11 +116,10 @@ Error MqttClient::failure(int status, bool is_connected) const {
     error.advice = advice_on_certificate(distrust, "host");
   } else if ((status == MOSQ_ERR_TLS || (status == MOSQ_ERR_CONN_LOST && is_encrypted)) && !is_connected) {
     error.advice =
-        "does the broker speak TLS at this port? It may also want a client certificate (`tls.certificate`), or not "
-        "trust "
-        "that";
+        "check that the broker speaks TLS at this port; it may also need a client certificate (`tls.certificate`), or "
+        "not trust that";
   } else if (status == MOSQ_ERR_CONN_LOST && !is_connected) {
-    error.advice = "the program connects to it again; if this port is one of TLS, set `tls`";
+    error.advice = "the program connects to it again; if the broker speaks TLS at this port, set `tls`";
   }
   return error;
 }
@@ -199,7 +198,7 @@ int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptio
 std::string obstacle_of_topic(const std::string& topic) {
   if (topic.empty()) return "there is no topic";
   if (topic.find_first_of(std::string_view("+#\0", 3)) != std::string::npos)
-    return "a topic of MQTT to publish to has no + and no #";
+    return "an MQTT topic to publish to cannot contain + or #";
   return topic.size() > 1000 ? "it is too long" : "";
 }
 
@@ -209,13 +208,13 @@ std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBr
   const auto is_control = [](char c) { return static_cast<unsigned char>(c) < ' ' || c == 0x7f; };
   for (const auto& [key, text] : {std::pair{"client_id", &broker.client_id}, std::pair{"user", &broker.user}}) {
     if (std::any_of(text->begin(), text->end(), is_control))
-      mistakes.emplace_back(key, "it has a control character, which brokers do not take");
+      mistakes.emplace_back(key, "it has a control character, which brokers do not accept");
     if (text->size() > longest_text)
-      mistakes.emplace_back(key, "it has " + std::to_string(text->size()) + " bytes: a text of MQTT has at most " +
+      mistakes.emplace_back(key, "it has " + std::to_string(text->size()) + " bytes, but a text in MQTT has at most " +
                                      std::to_string(longest_text));
   }
   if (broker.password.find('\0') != std::string::npos)
-    mistakes.emplace_back("password", "it has a NUL byte, at which it would end");
+    mistakes.emplace_back("password", "it contains a NUL byte, which would end it");
   if (broker.user.empty() && !broker.password.empty()) mistakes.emplace_back("password", "`password` needs a `user`");
   return mistakes;
 }
@@ -339,14 +338,14 @@ void MqttConnection::connect() {
   last_job_ = job;
   if (!lane_->submit(job) && job_ == job) {
     job_ = nullptr;
-    fail(Errc::timed_out, "cannot connect", "no thread is free to connect: earlier attempts still hang");
+    fail(Errc::timed_out, "cannot connect", "no thread is free for connecting: earlier attempts still hang");
   }
 }
 
 void MqttConnection::connecting_ended(MqttConnecting& job, LaneJob::Outcome outcome) {
   if (outcome == LaneJob::Outcome::cancelled) return;
   if (outcome == LaneJob::Outcome::given_up)
-    return fail(Errc::timed_out, "cannot connect", "no connection in " + to_string(broker_.connect_timeout));
+    return fail(Errc::timed_out, "cannot connect", "no connection within " + to_string(broker_.connect_timeout));
   if (job.status != MOSQ_ERR_SUCCESS) return fail(std::move(job.why));
   client_ = std::move(job.client);
   // A descriptor of our own: the library closes its as it likes, and a watched one must not be closed.

@@ -172,7 +172,7 @@ void TcpStream::end_writing() noexcept {
 
 Error TcpStream::failure(int error_number) const {
   return system_error(error_number, "cannot connect", host_ + " port " + std::to_string(port_),
-                      "is the server running there? `ss -ltn` on its machine lists the ports that are served");
+                      "check that the server runs there: `ss -ltn` on its computer lists the open ports");
 }
 
 }  // namespace rtdata::detail

@@ -93,10 +93,10 @@ struct GuardAnswer {
 inline std::string text_of_end(const Result<void>& done) {
   if (done) return "it has its safe value now";
   if (done.error().code == make_error_code(Errc::closed))
-    return "its device could not be opened, and is as it was: " + done.error().why;
+    return "its device could not be opened and keeps its value: " + done.error().why;
   if (done.error().code == make_error_code(Errc::busy))
     return "another output has its device now, and the guard no longer tries to set it safe";
-  return "its device has not taken the safe value for " + to_string(longest_after_end) +
+  return "its device has not accepted the safe value for " + to_string(longest_after_end) +
          ", and the guard no longer tries: " + done.error().why;
 }
 

@@ -139,7 +139,7 @@ class GuardPort final : public OutputPort {
       return {};
     }
     if (socket_ >= 0 && (errno == EAGAIN || errno == ENOBUFS))
-      return Error{Errc::backlog, guard_cannot_set, "", "its guard takes no more orders", "check the device"};
+      return Error{Errc::backlog, guard_cannot_set, "", "its guard accepts no more orders", "check the device"};
     return ended();
   }
   Result<void> exchange(const GuardOrder& order) {

@@ -41,7 +41,7 @@ std::vector<detail::HttpMistake> mistakes_of(const HttpActuatorConfig& config) {
   if (!detail::has_value_mark(config.server.url) &&
       (config.method == HttpSetMethod::get || !detail::has_value_mark(config.text)))
     mistakes.push_back({config.method == HttpSetMethod::get ? "url" : "text",
-                        "each value would send the same request: write {value} where it belongs"});
+                        "every value would send the same request: write {value} into it"});
   return mistakes;
 }
 
@@ -155,7 +155,7 @@ Result<void> HttpActuator::set(double value) {
   thread.detach();
   Error error{Errc::disconnected, cannot_set_http, request_->url.origin,
               "its name was not looked up within " + to_string(request_->config.timeout),
-              "do the name servers answer? An address needs no looking up"};
+              "check the name servers, or use an IP address"};
   request_ = std::make_shared<Request>(request_->config);  // the thread has the other one
   request_->make();
   return error;

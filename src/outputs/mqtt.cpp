@@ -41,10 +41,9 @@ std::vector<Mistake> mistakes_of(const MqttActuatorConfig& config) {
   add("to", detail::obstacle_of_topic(config.to));
   if (config.broker.tls)
     for (const TlsMistake& mistake : mistakes_of(*config.broker.tls)) add("tls", mistake.key + ": " + mistake.message);
-  add("qos", config.qos > 2 ? "it is 0, 1 or 2" : "");
-  add("text", detail::has_value_mark(config.text)
-                  ? ""
-                  : "each value would send the same message: write {value} where it belongs");
+  add("qos", config.qos > 2 ? "it must be 0, 1 or 2" : "");
+  add("text",
+      detail::has_value_mark(config.text) ? "" : "every value would send the same message: write {value} into it");
   return mistakes;
 }
 
@@ -176,8 +175,8 @@ struct MqttActuator::Link {
     const bool is_refusal = is_refused();
     return {is_refusal ? Errc::not_permitted : Errc::disconnected, cannot_set_mqtt,
             config.broker.host + " port " + std::to_string(detail::port_of(config.broker)), std::move(why),
-            is_refusal ? "check `user`, `password` and `client_id`, and what the broker lets them do"
-                       : "is the broker running, and does the network reach it?"};
+            is_refusal ? "check `user`, `password` and `client_id`, and their permissions at the broker"
+                       : "check that the broker runs, and that the network reaches it"};
   }
   /// Returns whether its thread has ended.
   bool end() noexcept {

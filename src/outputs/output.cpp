@@ -28,12 +28,12 @@ std::string refusal_of(const OutputConfig& config) {
   if (!std::isfinite(config.safe)) return "`safe` is not a finite number";
   if (config.on.empty()) {
     if (!config.expression.empty() || !config.with.empty() || config.hysteresis || config.pid)
-      return "`expression`, `with`, `hysteresis` and `pid` need the topic `on` that the output follows";
+      return "`expression`, `with`, `hysteresis` and `pid` need `on`, the topic that the output follows";
     return "";
   }
   if (config.lease != Duration{0})
-    return "`lease` is for outputs that `set` sets; an output that follows a topic has `max_age`";
-  if (config.hysteresis && config.pid) return "give `hysteresis` or `pid`, not both";
+    return "`lease` works only for outputs that `set` sets; use `max_age` for an output that follows a topic";
+  if (config.hysteresis && config.pid) return "use `hysteresis` or `pid`, not both";
   return "";
 }
 
@@ -78,7 +78,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     }
     if (!port_->is_guarded()) {
       this->loop()->runtime.log(LogLevel::info, name(),
-                                "no guard holds it: nothing sets its safe value when this program hangs or crashes");
+                                "it has no guard: no process sets its safe value if this program hangs or crashes");
       return;
     }
     beat_ = Ticker(loop, {.period = config_.watchdog / 4, .name = name() + " watchdog"},
@@ -89,7 +89,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (state_ == State::stopped) return stopped();
     if (!std::isfinite(value)) return refusal(Errc::bad_argument, "the value is not a finite number", "");
     if (input_)
-      return refusal(Errc::bad_argument, "it follows the topic \"" + config_.on + "\"", "disarm it to hold it safe");
+      return refusal(Errc::bad_argument, "the output follows the topic \"" + config_.on + "\"",
+                     "disarm it to hold it safe");
     const Order order{value, OutputCause::set, fitting<48>(by), now()};
     if (is_over_) {
       record(order, {}, program_ends);
@@ -105,12 +106,13 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     }
     if (is().left) {
       record(order, {}, given_back);
-      return refusal(Errc::busy, given_back, "after a reload, set it again");
+      return refusal(Errc::busy, given_back, "set it again after the reload");
     }
     if (state_ == State::failed) {  // while its safe value is on its way, the order follows that
       record(order, {}, "the device has failed");
-      return refusal(Errc::io_failed, "the device has failed",
-                     "the output is set safe as soon as the device takes that; set it then");
+      return refusal(
+          Errc::io_failed, "the device has failed",
+          "the program sets the safe value as soon as the device accepts it; set the output again after that");
     }
     last_set_ = now();
     if (config_.lease > Duration{0} && !lease_.is_running()) lease_.start(config_.lease);
@@ -121,7 +123,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
 
   Result<void> arm(std::string_view by) {
-    if (is().left) return refusal(Errc::busy, given_back, "after a reload, arm it then");
+    if (is().left) return refusal(Errc::busy, given_back, "arm it after the reload");
     if (!is().held) return stopped();
     if (is_over_) return refusal(Errc::closed, program_ends, "");
     if (is_lost_) return refusal(Errc::disconnected, "its guard has ended: it stays safe", "start the program again");
@@ -254,7 +256,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   static constexpr const char* program_ends = "the program ends";
   static constexpr const char* cannot_control = "cannot change the controller";
-  static constexpr const char* given_back = "its device is being given back";
+  static constexpr const char* given_back = "its device is being released";
 
   std::string name() const { return "output " + origin_.name; }
   std::string object_name() const override { return name(); }
@@ -417,7 +419,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       }
       if (is_asked) return repeated();
       if (!is().busy) return record(order, value_, "");
-      return record(order, {}, "this value is on its way to the device already");
+      return record(order, {}, "this value is already being sent to the device");
     }
     if (!is().busy) return send(order);
     if (next_ && next_->is_repeat) {
@@ -426,7 +428,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       ++origin_.counts.received;
       ++origin_.counts.filtered;
     } else if (next_) {
-      record(*next_, {}, "superseded before the device was ready");
+      record(*next_, {}, "replaced by a newer value before the device was ready");
     }
     next_ = order;
   }
@@ -503,7 +505,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (state_ == State::taking)
       return complain(
           {Errc::timed_out, "the output cannot be set yet", name(),
-           "its device has not answered for " + to_string(slow_start), "the next value waits; check the device"},
+           "its device has not answered for " + to_string(slow_start), "check the device; the next value waits"},
           Health::degraded);
     // Started with an earlier value, which was answered.
     if (const MonotonicTime due = sent_ + answer_limit; due > now()) return patience_.start_at(due);
@@ -549,8 +551,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const bool is_silent = is().held && !is().busy && value_ && *value_ != config_.safe && seen &&
                            now() - std::max(*seen, turning_since_) > 4 * config_.watchdog;
     if (!std::exchange(is_guard_silent_, is_silent) && is_silent)
-      complain({Errc::timed_out, "nothing would set the output safe", name(), "its guard does not run",
-                "find what has stopped the process rtdata-guard"},
+      complain({Errc::timed_out, "no process would set the output safe", name(), "its guard does not run",
+                "find out what stopped the process rtdata-guard"},
                Health::faulted);
   }
   void tripped(const Result<void>& done) override {
@@ -584,11 +586,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     record({config_.safe, OutputCause::watchdog, fitting<48>("guard"), now()}, value_, done ? "" : done.error().why);
     Error error{Errc::not_turning, "the guard has set the output to its safe value", name(),
                 "the loop did not turn for " + to_string(config_.watchdog),
-                "find what held it, then arm the output again"};
+                "find out what held the loop, then arm the output again"};
     if (!done) {
       error.what = "the guard could not set the output to its safe value";
-      error.why += ", and the device did not take the value: " + done.error().why;
-      error.advice = "check the device: the safe value is sent again until the device takes it";
+      error.why += ", and the device did not accept the value: " + done.error().why;
+      error.advice = "check the device: the safe value is sent again until the device accepts it";
     }
     complain(error, done ? Health::degraded : Health::faulted);
   }
@@ -626,10 +628,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (input_->has_held() && !turning_.is_running()) turning_.start(Duration{0});
     if (hanging_ != nullptr || !input_->computes_with(topic)) return;
     const std::optional<double> value = input_->evaluate(time, now());
-    if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "check what is measured");
+    if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "check the measured value");
     if (!value) return;
     if (const std::string why = range_.refusal(*value); !why.empty())
-      return go_stale(Errc::out_of_range, why, "check what is measured, and the expression");
+      return go_stale(Errc::out_of_range, why, "check the measured value, and the expression");
     last_input_ = now();
     is_stale_ = false;
     const OutputInput::Silence silence = input_->silence();
@@ -653,7 +655,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     go_stale(Errc::timed_out,
              "the topic \"" + *silence.topic + "\" has had " +
                  (is_silent ? "no event" : "only events without a value") + " for " + to_string(config_.max_age),
-             "the output follows it again with its next event; a longer `max_age` bridges longer pauses");
+             "the output follows the topic again with its next event; a longer `max_age` bridges longer pauses");
   }
   /// A loop's last event is valid as long as that loop turns, because it would publish a change.
   void look_at_loops() {
@@ -665,9 +667,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     turning_.start(std::max(config_.max_age / 4, Duration{std::chrono::milliseconds{1}}));
     if (hanging_ != nullptr && before == nullptr)
       go_stale(Errc::not_turning,
-               "loop " + hanging_->config.name + ", which would tell of changes, has not turned for " +
-                   to_string(config_.max_age),
-               "the output follows it again when that loop turns; find what blocks there");
+               "loop " + hanging_->config.name + " has not turned for " + to_string(config_.max_age) +
+                   ", so changes of the topic are unknown",
+               "find out what blocks that loop; the output follows the topic again when it turns");
     if (hanging_ == nullptr && before != nullptr) recall();
   }
   void go_stale(Errc code, const std::string& why, std::string advice) {
@@ -687,10 +689,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (const MonotonicTime due = last_set_ + config_.lease; due > now()) return lease_.start_at(due);
     is_overdue_ = true;
     set_safe(OutputCause::lease, "");
-    complain(
-        {Errc::timed_out, "the output is being set to its safe value", name(),
-         "no program or command has set it for " + to_string(config_.lease), "set it again if it is to keep its value"},
-        worst(Health::degraded));
+    complain({Errc::timed_out, "the output is being set to its safe value", name(),
+              "no program or command has set it for " + to_string(config_.lease),
+              "set the output again, more often than `lease`"},
+             worst(Health::degraded));
   }
 
   // ---- What is told

@@ -83,7 +83,7 @@ void check_output_values(const OutputConfig& config, const OutputRange& range, c
   const auto check = [&](double value, const ConfigItem& at, const char* what) {
     if (const std::string why = range.refusal(value); !why.empty()) problems.add(at.problem("bad-value", what + why));
   };
-  check(config.safe, child_or_self(item, "safe"), item.find("safe") != nullptr ? "" : "`safe` is 0 unless given: ");
+  check(config.safe, child_or_self(item, "safe"), item.find("safe") != nullptr ? "" : "`safe` is 0 by default: ");
   if (config.hysteresis) {
     const ConfigItem& at = child_or_self(item, "hysteresis");
     check(0, at, "off is 0: ");
@@ -92,7 +92,7 @@ void check_output_values(const OutputConfig& config, const OutputRange& range, c
     const ConfigItem& at = child_or_self(item, "pid");
     if (range.is_whole) {  // nearly each of its values would be refused
       problems.add(at.problem("bad-value",
-                              "a `pid` gives fractions, and the device takes whole numbers alone: use `hysteresis`"));
+                              "a `pid` gives fractions, but the device accepts only whole numbers: use `hysteresis`"));
       return;
     }
     check(config.pid->least, child_or_self(at, "least"), at.find("least") != nullptr ? "" : "`least` is 0: ");

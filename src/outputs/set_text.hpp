@@ -39,7 +39,7 @@ inline void check_words(const std::map<std::string, std::string>& words, const C
       const ConfigItem* const twice = item.find(name);
       problems.add((twice != nullptr ? *twice : item)
                        .problem("bad-value", other->second + " and " + key + " are both written \"" + word +
-                                                 "\": the device could not tell them apart"));
+                                                 "\": the device could not distinguish them"));
     }
     double value = 0;
     const auto [end, failed] = std::from_chars(key.data(), key.data() + key.size(), value);
@@ -47,7 +47,7 @@ inline void check_words(const std::map<std::string, std::string>& words, const C
     if (is_number && number_text(value) == key) continue;
     const ConfigItem* const at = item.find(name);
     problems.add((at != nullptr ? *at : item)
-                     .problem("bad-value", "\"" + key + "\" is no value" +
+                     .problem("bad-value", "\"" + key + "\" is not a value" +
                                                (is_number ? ": it is written " + number_text(value) : std::string())));
   }
 }

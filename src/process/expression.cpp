@@ -42,7 +42,7 @@ ExpressionTree tree_of(std::string_view text, const std::vector<std::string>& na
       std::string nearest = nearest_name(tree.names[i], normal);
       std::string why = "there is no name `" + tree.names[i] + "`";
       if (nearest.empty() && !normal.empty()) {
-        why += "; there are";
+        why += "; available:";
         for (std::size_t n = 0; n < normal.size() && n < 8; ++n) why += " " + normal[n];
         if (normal.size() > 8) why += " ...";
       }
@@ -531,9 +531,9 @@ class Expression::Compiler {
     program_.steps.resize(before);
     const Got got = program_.values[place];
     const std::size_t column = tree_.nodes[node.children[1]].column;
-    if (!got.is_value()) refuse(column, "the seconds of `" + node.text + "` are no finite number");
+    if (!got.is_value()) refuse(column, "the seconds of `" + node.text + "` are not a finite number");
     if (!(got.value >= 1e-6 && got.value <= 604800))
-      refuse(column, "the seconds of `" + node.text + "` lie between 0.000001 and 604800 (a week)");
+      refuse(column, "the seconds of `" + node.text + "` must be from 0.000001 to 604800 (a week)");
     return Duration{std::llround(got.value * 1e9)};
   }
 
@@ -661,7 +661,7 @@ Expression::Expression(std::string_view text, std::vector<std::string> names) {
       if (normal_name(names[i]) == normal_name(names[n]))
         throw SetupError({Errc::bad_argument, "cannot make an expression",
                           "\"" + std::string(text.substr(0, 60)) + "\"",
-                          "two of its names are the same: " + names[n] + " and " + names[i], "give each name once"});
+                          "two names are the same: " + names[n] + " and " + names[i], "give each name once"});
   try {
     program_ = std::make_unique<Program>(text, std::move(names));
   } catch (detail::ExpressionMistakeFound& found) {

@@ -557,20 +557,20 @@ Error Processor::error(const std::string& sensor) const {
       error.advice = "check the sensor: only finite numbers can be calibrated or filtered";
       break;
     case Failure::not_finite:
-      error.why = "calibrated and filtered, it is not a finite number";
+      error.why = "after calibration and filters, it is not a finite number";
       error.advice = "check its calibration";
       break;
     case Failure::outside_table:
       error.why = value + " is outside the table of its calibration";
       error.advice =
-          "extend the table, or set `outside`: \"extend\" goes on straight, \"clamp\" keeps the value of the end";
+          "extend the table, or set `outside`: \"extend\" continues the last line, \"clamp\" keeps the last value";
       break;
     case Failure::below:
-      error.why = value + " is below " + bound + ", the least";
+      error.why = value + " is below " + bound + " (`least`)";
       error.advice = "check the sensor, or `least` of its calibration";
       break;
     case Failure::above:
-      error.why = value + " is above " + bound + ", the most";
+      error.why = value + " is above " + bound + " (`most`)";
       error.advice = "check the sensor, or `most` of its calibration";
       break;
   }

@@ -200,9 +200,10 @@ class Ads1x15 {
     const int code = static_cast<std::int16_t>(word);
     const int step = of(model).step;
     if (code % step != 0)
-      return Error{Errc::bad_data, what, "", "it gives more than the 12 bits of an ADS1015", "set `model` to ads1115"};
+      return Error{Errc::bad_data, what, "", "its values have more than the 12 bits of an ADS1015",
+                   "set `model` to ads1115"};
     if (code >= 32768 - step || code == -32768)
-      return Error{Errc::out_of_range, what, "", "it is at the end of its range", "choose a larger `range`"};
+      return Error{Errc::out_of_range, what, "", "the voltage is at the end of its range", "choose a larger `range`"};
     return code * range / 32768;
   }
 

@@ -140,7 +140,8 @@ struct Bmp280Trimming {
     constexpr std::uint32_t skipped = 0x80000, skipped_humidity = 0x8000;  // as after a reset
     const std::uint32_t pressure_code = twenty_bits(0), temperature_code = twenty_bits(3);
     const auto failure = [](const char* why) {
-      return Error{Errc::bad_data, "cannot read the barometer", "", why, "it was reset, or is damaged"};
+      return Error{Errc::bad_data, "cannot read the barometer", "", why,
+                   "check its supply; if this repeats, the chip is damaged"};
     };
     if (pressure_code == skipped || temperature_code == skipped) return failure("the measurement was skipped");
     const double t = temperature_code;
@@ -192,7 +193,7 @@ struct Bmp388Trimming {
     constexpr std::uint32_t skipped = 0x800000;
     if (code(0) == skipped || code(3) == skipped)
       return Error{Errc::bad_data, "cannot read the barometer", "", "the measurement was skipped",
-                   "it was reset, or is damaged"};
+                   "check its supply; if this repeats, the chip is damaged"};
     const double p = code(0);
     const double from_first = code(3) - t1;
     const double t = from_first * t2 + from_first * from_first * t3;
@@ -209,7 +210,7 @@ inline Result<AirMeasurement> bmp581_measurement(std::span<const std::uint8_t, 6
   constexpr int skipped = 0x7f7f7f, sign = 0x800000;  // skipped: as after a reset
   if (code(0) == skipped || code(3) == skipped)
     return Error{Errc::bad_data, "cannot read the barometer", "", "the measurement was skipped",
-                 "it was reset, or is damaged"};
+                 "check its supply; if this repeats, the chip is damaged"};
   return AirMeasurement{code(3) / 64.0, ((code(0) ^ sign) - sign) / 65536.0, {}};
 }
 
@@ -235,7 +236,8 @@ struct Ms5611Prom {
   /// conversion).
   Result<AirMeasurement> measurement(std::uint32_t pressure_code, std::uint32_t temperature_code) const {
     if (pressure_code == 0 || temperature_code == 0)  // "ADC read" without a conversion
-      return Error{Errc::bad_data, "cannot read the barometer", "", "it has no conversion", "it was reset meanwhile"};
+      return Error{Errc::bad_data, "cannot read the barometer", "", "it has no measurement",
+                   "check its supply: it was reset in the meantime"};
     const double difference = temperature_code - words[5] * 256.0;
     double hundredths = 2000 + difference * words[6] / 8388608;
     double offset = words[2] * 65536.0 + words[4] * difference / 128;
@@ -457,7 +459,7 @@ class Barometer {
   static Result<BarometerReading> reading(const AirMeasurement& air, double reference_pressure) {
     constexpr double most = 200'000;
     if (!(air.pressure > 0 && air.pressure <= most))
-      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is outside its range",
+      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is outside the range of the chip",
                    "check its wires and its supply"};
     return BarometerReading{air.pressure, air.temperature,
                             pressure_altitude(air.pressure) - pressure_altitude(reference_pressure), air.humidity};
@@ -494,7 +496,7 @@ class Barometer {
       if (is_of_humidity && !model.has_humidity) {
         if (config.humidity_oversampling)
           all[i].mistake = "the " + std::string(model.chip.name) +
-                           " measures no humidity; leave it out, or set another `model`";
+                           " measures no humidity; remove this, or set another `model`";
         continue;
       }
       if (!std::has_single_bit(count) || count < model.least_oversampling || count > model.most_oversampling)
@@ -527,7 +529,7 @@ class Barometer {
     if (are_alike || !trimming.is_usable()) {
       return chip.error(Errc::bad_data, "cannot use the " + name,
                         are_alike ? "its trimming parameters are all " + to_string(I2cAddress(bytes[0]))
-                                  : "there are zeros among its trimming parameters",
+                                  : "some of its trimming parameters are 0",
                         "the chip is damaged, or its wires are bad");
     }
     if constexpr (std::is_same_v<Trimming, Bmp280Trimming>) {
@@ -538,7 +540,7 @@ class Barometer {
         if (auto done = chip.read_registers(0xe1, rest); !done) return done;
         trimming.decode_humidity(*first, rest);
         if (trimming.h2 == 0 || trimming.h2 == -1)
-          return chip.error(Errc::bad_data, "cannot use the " + name, "it has no trimming parameters of humidity",
+          return chip.error(Errc::bad_data, "cannot use the " + name, "it has no trimming parameters for humidity",
                             "the chip is damaged");
       }
     }

@@ -112,7 +112,8 @@ struct Bme680Trimming {
   /// out-of-range (such a pressure is not measured).
   Result<Bme680Reading> measurement(std::span<const std::uint8_t, 17> bytes, bool has_gas) const {
     const auto refused = [](Errc code, std::string why) {
-      return Error{code, "cannot read the BME680", "", std::move(why), "it was reset, or is damaged"};
+      return Error{code, "cannot read the BME680", "", std::move(why),
+                   "check its supply; if this repeats, the chip is damaged"};
     };
     const auto twenty_bits = [&](std::size_t at) {
       return static_cast<std::uint32_t>(bytes[at]) << 12 | static_cast<std::uint32_t>(bytes[at + 1]) << 4 |
@@ -138,7 +139,7 @@ struct Bme680Trimming {
     reading.pressure = raw + (p9 * raw * raw / 2147483648.0 + raw * p8 / 32768 + cube * p10 / 131072 + p7 * 128.0) / 16;
     constexpr double most = 200'000;
     if (!(reading.pressure > 0 && reading.pressure <= most))
-      return refused(Errc::out_of_range, std::to_string(reading.pressure) + " Pa is outside its range");
+      return refused(Errc::out_of_range, std::to_string(reading.pressure) + " Pa is outside the range of the chip");
 
     const double t = reading.temperature;
     const double wet = (humidity_code - (h1 * 16.0 + h3 / 2.0 * t)) * (h2 / 262144.0) *
@@ -268,14 +269,14 @@ class Bme680 {
     if (are_alike || !trimming_.is_usable())
       return chip.error(Errc::bad_data, "cannot use the BME680",
                         are_alike ? "its trimming parameters are all " + to_string(I2cAddress(first[0]))
-                                  : "there are zeros among its trimming parameters",
+                                  : "some of its trimming parameters are 0",
                         "the chip is damaged, or its wires are bad");
     const Result<std::uint8_t> variant = chip.read_register(variant_register);
     if (!variant) return variant.error();
     constexpr std::uint8_t of_bme680 = 0, of_bme688 = 1;
     if (*variant != of_bme680 && *variant != of_bme688)
       return chip.error(Errc::bad_data, "cannot use the chip as a BME680 or BME688",
-                        "its variant is " + to_string(I2cAddress(*variant)) + ", that of these chips is 0x00 or 0x01",
+                        "its variant is " + to_string(I2cAddress(*variant)) + ", but these chips have 0x00 or 0x01",
                         "check which chip is at this address");
     trimming_.is_bme688 = *variant == of_bme688;
     return {};
@@ -321,7 +322,7 @@ class Bme680 {
     out.add(*reading);
     if (has_gas() && !reading->gas_resistance)
       out.unreadable(chip.error(Errc::bad_data, what, "the gas sensor's heater has not reached its temperature",
-                                "a longer `heater_duration`"));
+                                "set a longer `heater_duration`"));
     return {};
   }
 

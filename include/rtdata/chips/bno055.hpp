@@ -117,7 +117,7 @@ class Bno055 {
       constexpr std::array<const char*, 4> parts{"accelerometer", "magnetometer", "gyroscope", "processor"};
       if ((*tested >> i & 1) == 0)
         return chip.error(Errc::bad_data, "cannot use the BNO055",
-                          std::string("its self-test has found its ") + parts[i] + " bad", "the chip is damaged");
+                          std::string("its self-test found a fault in its ") + parts[i], "the chip is damaged");
     }
     return set_up(chip);
   }
@@ -135,12 +135,14 @@ class Bno055 {
     constexpr std::uint8_t system_error = 1, fusion_runs = 5;
     if (status == system_error) {
       if (auto done = set_up(chip); !done) return std::move(done).error();
-      return chip.error(Errc::bad_data, what, "it reports its error " + std::to_string(error), "data sheet, 4.3.59");
+      return chip.error(Errc::bad_data, what, "it reports error " + std::to_string(error),
+                        "see section 4.3.59 of its data sheet");
     }
     if (status != fusion_runs) {
       constexpr auto patience = std::chrono::seconds{1};
       if (Samples<int>::now() - set_up_at_ < patience) return NothingNew{};
-      return chip.error(Errc::timed_out, what, "its fusion does not run, its status is " + std::to_string(status), "");
+      return chip.error(Errc::timed_out, what,
+                        "its sensor fusion does not run: its status is " + std::to_string(status), "");
     }
     const auto reading = decode(bytes, config_.mode);
     if (!reading) return Unreadable{chip.error(Errc::bad_data, what, reading.error().why, reading.error().advice)};
@@ -196,7 +198,7 @@ class Bno055 {
         reading.quaternion_y * reading.quaternion_y + reading.quaternion_z * reading.quaternion_z);
     if (!(std::abs(length - 1) < 0.02))
       return Error{Errc::bad_data, what, "", "its quaternion has the length " + std::to_string(length) + ", not 1",
-                   "bytes were read wrong: the bus must bear that it holds the clock line"};
+                   "bytes were read wrong: use a bus that supports clock stretching"};
     return reading;
   }
 

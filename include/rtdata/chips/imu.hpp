@@ -115,8 +115,8 @@ inline Result<InertialSixLimits> mpu6050_limits(RegisterDevice& chip) {
     const double by = g(0.34 * std::pow(0.92 / 0.34, (acceleration - 1) / 30.0));
     const double turns = degrees(25 * std::pow(1.046, angle - 1));
     if (acceleration == 0 || angle == 0)
-      return chip.error(Errc::bad_data, "cannot test the MPU-6050", "it has no values of the factory to compare with",
-                        "leave `self_test` out");
+      return chip.error(Errc::bad_data, "cannot test the MPU-6050", "it has no factory values to compare with",
+                        "remove `self_test`");
     limits[axis] = {0.86 * by, 1.14 * by};
     limits[3 + axis] = {0.86 * turns, 1.14 * turns};
   }

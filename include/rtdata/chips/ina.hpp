@@ -134,7 +134,8 @@ class Ina {
     const Result<std::uint16_t> flags = chip.read_word(model.flags_register);
     if (!flags) return flags.error();
     if ((*flags & model.intact) != model.intact)
-      return Unreadable{chip.error(Errc::bad_data, what, "the checksum of its trimming is wrong", "another chip")};
+      return Unreadable{
+          chip.error(Errc::bad_data, what, "the checksum of its trimming values is wrong", "use another chip")};
     const MonotonicTime now = Samples<PowerReading>::now();
     if ((*flags & model.ready) == 0) {
       if (now - last_ > std::chrono::seconds{1})
@@ -151,7 +152,7 @@ class Ina {
       if (const Result<std::uint16_t> power = chip.read_word(power_register); !power) return power.error();
     }
     auto reading = (*flags & model.overflow) != 0
-                       ? Error{Errc::out_of_range, what, "", "it reports an overflow", "a smaller shunt"}
+                       ? Error{Errc::out_of_range, what, "", "it reports an overflow", "use a smaller shunt"}
                        : decode(*shunt, *bus, config_);
     if (!reading) return Unreadable{chip.error(Errc::out_of_range, what, reading.error().why, reading.error().advice)};
     return *reading;
@@ -174,10 +175,11 @@ class Ina {
     const Model& model = of(config.model);
     const int code = static_cast<std::int32_t>(shunt << (32 - model.bits)) >> (32 - model.bits + model.shunt_shift);
     if (code >= model.shunt_end || code <= -model.shunt_end)
-      return Error{Errc::out_of_range, what, "", "the current is beyond what it can measure", "a smaller shunt"};
+      return Error{Errc::out_of_range, what, "", "the current is larger than the chip can measure",
+                   "use a smaller shunt"};
     const int bus_code = static_cast<int>(bus >> model.bus_shift);
     if (bus_code >= model.bus_end)
-      return Error{Errc::out_of_range, what, "", "the voltage of the bus is beyond what it can measure",
+      return Error{Errc::out_of_range, what, "", "the bus voltage is higher than the chip can measure",
                    "check its wires"};
     const double current = code * model.shunt_step / config.shunt_resistance;
     const double voltage = bus_code * model.bus_step;

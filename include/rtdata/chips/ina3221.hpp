@@ -155,10 +155,11 @@ class Ina3221 {
     const int code = static_cast<std::int16_t>(shunt) >> 3;
     constexpr int end = 0x0fff;  // codes from here on are invalid
     if (code >= end || code <= -end)
-      return Error{Errc::out_of_range, what, "", "the current is beyond what it can measure", "a smaller shunt"};
+      return Error{Errc::out_of_range, what, "", "the current is larger than the chip can measure",
+                   "use a smaller shunt"};
     const int bus_code = bus >> 3;
     if (bus_code >= end)
-      return Error{Errc::out_of_range, what, "", "the voltage of the bus is beyond what it can measure",
+      return Error{Errc::out_of_range, what, "", "the bus voltage is higher than the chip can measure",
                    "check its wires"};
     constexpr double shunt_step = 40e-6, bus_step = 8e-3;  // V
     const double current = code * shunt_step / shunt_resistance, voltage = bus_code * bus_step;

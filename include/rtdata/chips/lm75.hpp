@@ -57,7 +57,7 @@ class Lm75 {
     if (degrees < least || degrees > most) {
       return Unreadable{chip.error(Errc::out_of_range, "cannot read the LM75",
                                    std::to_string(degrees) + " degrees is outside its range, -55 to 125 degrees",
-                                   "check its wires, and whether this is an LM75")};
+                                   "check its wires; check that it is an LM75")};
     }
     return TemperatureReading{degrees};
   }

@@ -309,7 +309,7 @@ class Magnetometer {
     const MonotonicTime now = Samples<int>::now();
     if (model_.is_new.mask != 0 && (bytes[model_.is_new.at] & model_.is_new.mask) == 0) {
       if (now - last_ <= patience()) return NothingNew{};
-      return chip.error(Errc::timed_out, what, "it has given no sample since " + to_string(patience()),
+      return chip.error(Errc::timed_out, what, "it has given no sample for " + to_string(patience()),
                         "check its supply");
     }
     last_ = now;
@@ -339,7 +339,8 @@ class Magnetometer {
       tesla[axis] = code / range->counts_per_gauss * tesla_a_gauss * adjustment[axis];
     }
     if (is_over)
-      return Error{Errc::out_of_range, what, "", "the field is beyond the range of " + text_of(range->gauss) + " gauss",
+      return Error{Errc::out_of_range, what, "",
+                   "the field is outside the range of " + text_of(range->gauss) + " gauss",
                    model.ranges.size() > 1 ? "set a wider `field_range`, or move it away from magnets and iron"
                                            : "move it away from magnets"};
     MagnetometerReading reading{tesla[0], tesla[1], tesla[2], {}};

@@ -70,7 +70,7 @@ class Max31855 {
       return Error{Errc::bad_data, "cannot read the MAX31855", "", why, advice};
     };
     if ((word & always_zero) != 0 || word == 0)
-      return refused(word == 0 ? "it gives zeros only: nothing answers" : "bits that are 0 are not: nothing answers",
+      return refused(word == 0 ? "it gives only zeros: no chip answers" : "bits that must be 0 are 1: no chip answers",
                      "check its wires and supply, `chip_select`, `mode` and `clock`");
     if ((word & 1) != 0) return refused("the thermocouple is open", "check its wires");
     if ((word & 2) != 0) return refused("the thermocouple is shorted to ground", "check its wires");

@@ -162,12 +162,14 @@ class Max31865 {
     if ((fault & 0x08) != 0) return refused(Errc::bad_data, "the wire RTDIN- is open or shorted");
     if ((fault & 0xc0) != 0 || (registers[2] & 1) != 0)
       return refused(Errc::bad_data, "it reports a fault of the element");
-    if (code == 0x7fff) return refused(Errc::out_of_range, "the resistance is that of the reference, or above");
+    if (code == 0x7fff)
+      return refused(Errc::out_of_range, "the resistance is as large as the reference resistance, or larger");
     const double resistance = code * reference_of(config) / 32768;
     const double ratio = resistance / (config.element == RtdElement::pt100 ? 100 : 1000);
     const std::optional<double> temperature = temperature_of(ratio);
     if (!temperature)
-      return Error{Errc::out_of_range, what, "", std::to_string(resistance) + " Ohm is outside -200 to 850 degrees",
+      return Error{Errc::out_of_range, what, "",
+                   std::to_string(resistance) + " Ohm is outside the range of -200 to 850 degrees",
                    "check its wires, `element` and `reference_resistance`"};
     return RtdReading{*temperature, resistance};
   }

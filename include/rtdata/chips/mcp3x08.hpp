@@ -118,7 +118,7 @@ class Mcp3x08 {
       const std::optional<std::uint16_t> code = decode(config_.model, answers[i]);
       if (!code)
         return Unreadable{chip.error(Errc::bad_data, "cannot read the converter",
-                                     detail::field_of(config_.channels[i]) + " has no null bit: nothing answers",
+                                     detail::field_of(config_.channels[i]) + " has no null bit: no chip answers",
                                      "check its wires and supply, `chip_select`, `mode`, `clock`, and `model`")};
       reading.voltages[i] = *code * step;
     }

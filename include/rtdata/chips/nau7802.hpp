@@ -173,7 +173,7 @@ class Nau7802 {
     if (auto done = chip.read_registers(data_register, bytes); !done) return std::move(done).error();
     const std::int32_t code = decode(bytes);
     if (code >= most || code <= -most - 1)
-      return Unreadable{chip.error(Errc::out_of_range, what, "the bridge is at the end of its range",
+      return Unreadable{chip.error(Errc::out_of_range, what, "the signal of the bridge is at the end of the range",
                                    "check its wires, or choose a smaller `gain`")};
     return tared(code);
   }
@@ -201,7 +201,8 @@ class Nau7802 {
     }
     if ((settings[2] & calibration_failed) != 0) {
       step_ = Step::settling;
-      return chip.error(Errc::bad_data, what, "its calibration has failed", "check its supply, and the bridge's");
+      return chip.error(Errc::bad_data, what, "its calibration has failed",
+                        "check the supply of the chip and of the bridge");
     }
     std::array<std::uint8_t, 3> of_before{};  // discards a sample from before the calibration
     if (auto done = chip.read_registers(data_register, of_before); !done) return std::move(done).error();

@@ -128,7 +128,7 @@ class Scd4x {
   /// `words`: the answer to `read_measurement`. Errors: bad-data (the sample is not valid).
   static Result<Scd4xReading> decode(const std::array<std::uint16_t, 3>& words) {
     if (words[0] == 0)
-      return Error{Errc::bad_data, what, "", "it says 0 ppm: the sample is not valid", "wait for the next one"};
+      return Error{Errc::bad_data, what, "", "it reports 0 ppm: the sample is not valid", "wait for the next one"};
     return Scd4xReading{static_cast<double>(words[0]), -45 + 175 * (words[1] / 65535.0), 100 * (words[2] / 65535.0)};
   }
 

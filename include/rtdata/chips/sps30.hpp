@@ -116,7 +116,8 @@ class Sps30 {
       if (!words) return unreadable(chip, "a checksum is wrong", "check its wires");
       const auto flags = static_cast<std::uint32_t>((*words)[0]) << 16 | (*words)[1];
       if ((flags & laser_fails) != 0) return unreadable(chip, "its laser fails", "the chip is damaged, or too warm");
-      if ((flags & fan_fails) != 0) return unreadable(chip, "its fan does not turn", "clean it; else it is damaged");
+      if ((flags & fan_fails) != 0)
+        return unreadable(chip, "its fan does not turn", "clean it; if that does not help, it is damaged");
       if ((flags & fan_off_speed) != 0)
         return unreadable(chip, "its fan turns too fast or too slowly", "check its supply of 5 V; let it warm up");
     }
@@ -136,7 +137,7 @@ class Sps30 {
     for (std::size_t i = 0; i < numbers.size(); ++i) {
       numbers[i] = std::bit_cast<float>(static_cast<std::uint32_t>(words[2 * i]) << 16 | words[2 * i + 1]);
       if (!(numbers[i] >= 0) || std::isinf(numbers[i]))
-        return Error{Errc::bad_data, what, "", "it gives a number that is no amount of particles",
+        return Error{Errc::bad_data, what, "", "it gives a number that cannot be an amount of particles",
                      "switch it off and on"};
     }
     return ParticleReading{numbers[0], numbers[1], numbers[2], numbers[3], numbers[4],

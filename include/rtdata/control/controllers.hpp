@@ -26,7 +26,7 @@ struct HysteresisConfig {
   }
   friend void check_config(const HysteresisConfig& config, const ConfigItem& item, Problems& problems) {
     if (config.on == config.off)
-      problems.add(item.problem("bad-value", "`on` and `off` are the same, so that any noise would switch it"));
+      problems.add(item.problem("bad-value", "`on` and `off` are the same: any noise would switch the output"));
   }
 };
 
@@ -87,7 +87,7 @@ struct PidConfig {
   }
   friend void check_config(const PidConfig& config, const ConfigItem& item, Problems& problems) {
     if (!(config.least < config.most))
-      problems.add(item.problem("bad-value", "`least` is not below `most`: there is nothing to control with"));
+      problems.add(item.problem("bad-value", "`least` is not below `most`: the output would have no range"));
     if (config.kp == 0 && config.ki == 0 && config.kd == 0)
       problems.add(item.problem("bad-value", "all gains are 0: give `kp`, `ki` or `kd`"));
   }

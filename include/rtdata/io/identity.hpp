@@ -134,7 +134,7 @@ Result<void> check_identity(Device& chip, const KnownChip& known, const std::opt
     if (refusal->advice.empty())
       refusal->advice = std::string(advice) + refusal->clone;
     else if (word)
-      refusal->advice += ", and leave `identity` out";
+      refusal->advice += ", and remove `identity`";
   }
   return chip.error(Errc::bad_data, refusal->what, refusal->why, refusal->advice);
 }

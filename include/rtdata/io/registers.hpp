@@ -142,8 +142,8 @@ class RegisterBus : public Bus {
   /// The type of bus for this place, and the advice for the other type.
   static std::string_view type_of(const RegisterPlace& place) { return types[place.chip_select ? 1 : 0]; }
   static std::string_view advice_on_other(const RegisterPlace& place) {
-    return place.chip_select ? "on I2C, give the chip's `address` and no `chip_select`"
-                             : "on SPI, give the chip's `chip_select`";
+    return place.chip_select ? "on I2C, set the chip's `address`, and remove `chip_select`"
+                             : "on SPI, set the chip's `chip_select`";
   }
 
  protected:

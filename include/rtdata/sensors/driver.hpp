@@ -196,7 +196,7 @@ Result<void> check_place(const typename D::Config& config, const typename D::Dev
   if constexpr (requires { D::addressing(config).without_spi; }) {
     if (const std::string_view chip = D::addressing(config).without_spi; place.chip_select && !chip.empty())
       return Error{Errc::bad_argument, "cannot use this chip", "chip_select",
-                   "the " + std::string(chip) + " has no SPI", "put it on I2C, with its `address`"};
+                   "the " + std::string(chip) + " does not support SPI", "put it on I2C, with its `address`"};
   }
   return {};
 }

@@ -11,7 +11,7 @@ void check_rate(Rate rate, const std::string& name) {
   if (rate && rate.period() >= std::chrono::microseconds{1}) return;
   throw SetupError({Errc::bad_argument, "cannot use this rate", "sensor " + name,
                     rate ? "its period is " + to_string(rate.period()) : "a sensor needs a rate",
-                    "set `rate` to something up to 1 MHz, such as 10_Hz"});
+                    "set `rate` to at most 1 MHz, such as 10_Hz"});
 }
 
 }  // namespace
@@ -215,8 +215,8 @@ void SensorNode::held(Duration took) {
   const Duration next = std::min(multiple(2, period()), multiple(slowest, wanted));
   if (next == period()) return;
   change_period(next);
-  report({Errc::held_too_long, "slowed down to one in " + to_string(next), object_name(), lasted,
-          "make its read shorter, or read it on a lane; wanted is one in " + to_string(wanted)});
+  report({Errc::held_too_long, "slowed down to one read every " + to_string(next), object_name(), lasted,
+          "make its read shorter, or read it on a lane; the configured period is " + to_string(wanted)});
 }
 
 void SensorNode::on_close() noexcept {

@@ -98,8 +98,9 @@ void SourceNode::begin_warm_up() noexcept {
   if (warm_up_ <= Duration{0}) return;
   warm_until_ = later(loop()->now(), warm_up_);
   loop()->call_own("sensor", [&] {
-    loop()->runtime.log(LogLevel::info, object_name(),
-                        "warms up for " + to_string(warm_up_) + ": its samples are filtered until then");
+    loop()->runtime.log(
+        LogLevel::info, object_name(),
+        "warms up for " + to_string(warm_up_) + ": its samples are discarded until then (counted as filtered)");
   });
 }
 

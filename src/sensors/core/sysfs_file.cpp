@@ -89,7 +89,7 @@ Result<void> check_readable(const std::string& path, const char* what, const std
   if (::stat(path.c_str(), &status) != 0) return system_error(errno, what, path, advice);
   if (S_ISDIR(status.st_mode)) return system_error(EISDIR, what, path, advice);
   if (::faccessat(AT_FDCWD, path.c_str(), R_OK, AT_EACCESS) != 0) {
-    return system_error(errno, what, path, "`ls -l` shows who may read it; run as such a user, or add a udev rule");
+    return system_error(errno, what, path, "run as a user that may read it (`ls -l` shows which), or add a udev rule");
   }
   return {};
 }

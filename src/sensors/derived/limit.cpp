@@ -168,7 +168,7 @@ class LimitNode final : public FeedNode {
     if (!is_open()) return;
     fault({Errc::timed_out, cannot_watch, object_name(),
            "the topic \"" + config_.on + "\" has had no event for " + to_string(config_.silence),
-           "the limit goes on with the next event of that topic; a longer `silence` bridges longer pauses"});
+           "the limit continues with the next event of that topic; a longer `silence` bridges longer pauses"});
   }
 
   void on_close() noexcept override {
@@ -215,7 +215,7 @@ void check_limit_field(const LimitConfig& config,
   std::string why = no_such_number(config);
   const std::string nearest = nearest_name(config.field, numbers);
   if (nearest.empty() && !numbers.empty()) {
-    why += "; there are";
+    why += "; available:";
     for (const std::string& number : numbers) why += " " + number;
   }
   problems.add(item_at(item, config.field.empty() ? "on" : "field").problem("unknown-field", why, nearest));

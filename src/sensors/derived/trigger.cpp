@@ -21,7 +21,7 @@ namespace {
 
 constexpr const char* cannot_pass = "cannot pass on events";
 constexpr const char*
-    processes_elsewhere = "events are passed on as they are: give `process` to the sensor that they are from";
+    processes_elsewhere = "events are passed on unchanged: set `process` of the sensor that publishes them";
 constexpr std::size_t most_at_once = 500;  // events that are published, since topics have room for 1024 that wait
 constexpr Duration between_parts = std::chrono::milliseconds{1};
 
@@ -35,7 +35,7 @@ std::string refusal_of(const TriggerConfig& config) {
   const std::vector<std::string> topics = detail::topics_of(config.on, config.with);
   for (auto topic = topics.begin(); topic != topics.end(); ++topic) {
     if (!is_topic_name(*topic)) return "\"" + *topic + "\" is not a topic";
-    if (std::find(topics.begin(), topic, *topic) != topic) return "the topic \"" + *topic + "\" is there twice";
+    if (std::find(topics.begin(), topic, *topic) != topic) return "the topic \"" + *topic + "\" is listed twice";
   }
   return "";
 }
@@ -167,7 +167,7 @@ class TriggerNode final : public FeedNode {
     ++origin_.counts.received;
     ++origin_.counts.unreadable;
     tell(other_payload, Errc::bad_data,
-         [&] { return "the topic \"" + config_.on + "\" carries something else than at the start"; });
+         [&] { return "the topic \"" + config_.on + "\" has other fields than at the start"; });
   }
 
   bool holds(Time now) {
@@ -195,7 +195,7 @@ class TriggerNode final : public FeedNode {
     if ((trouble & condition) != 0) troubles_ &= ~unsigned{condition};
     troubles_ |= trouble;
     complain({code, cannot_pass, object_name(), why(),
-              trouble == short_ring ? "give it more `events`" : "no event is passed on until then"},
+              trouble == short_ring ? "set more `events`" : "no event is passed on until then"},
              Health::degraded);
   }
   void clear(Trouble trouble) {
@@ -223,8 +223,8 @@ class TriggerNode final : public FeedNode {
     forget();
     if (reach > config_.before) return clear(short_ring);
     tell(short_ring, Errc::does_not_fit, [&] {
-      return "the ring is full with " + std::to_string(config_.events) + " events, of " + to_string(reach) +
-             " and not of " + to_string(config_.before);
+      return "the ring is full with " + std::to_string(config_.events) + " events: they reach back " +
+             to_string(reach) + ", not " + to_string(config_.before);
     });
   }
 
@@ -301,7 +301,7 @@ TriggerSensor::TriggerSensor(Loop& loop, FeedConfig feed, TriggerConfig config) 
   if (topic == nullptr)
     refuse(Errc::not_found, "there is no topic \"" + config.on + "\" yet", "make the part that publishes it first");
   if (topic->type.description == nullptr)
-    refuse(Errc::bad_description, "what the topic \"" + config.on + "\" carries has no description");
+    refuse(Errc::bad_description, "the topic \"" + config.on + "\" has no description of its values");
   const std::uint64_t memory = std::min<std::uint64_t>(
       static_cast<std::uint64_t>(::sysconf(_SC_PHYS_PAGES)) * static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE)),
       std::numeric_limits<std::size_t>::max() / 2);

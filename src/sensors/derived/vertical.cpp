@@ -45,7 +45,7 @@ std::string vertical_refusal(const Description& payload, const std::string& topi
   if (leaf == nullptr) return "the topic \"" + topic + "\" has no number `" + (field.empty() ? "value" : field) + "`";
   if (vertical_unit(leaf->unit, is_acceleration) == nullptr)
     return "`" + leaf->path + "` of the topic \"" + topic + "\" is in " + std::string(leaf->unit) + "; " +
-           (is_acceleration ? "it takes [g] and m/s2" : "it takes m, Pa, hPa, kPa, mbar and bar");
+           (is_acceleration ? "use [g] or m/s2" : "use m, Pa, hPa, kPa, mbar or bar");
   return "";
 }
 
@@ -56,7 +56,7 @@ const ConfigItem& vertical_item(const ConfigItem& item, const char* key) {
 
 std::string vertical_mistake(const VerticalConfig& config) {
   if (config.barometer.empty() && config.accelerometer.empty())
-    return "give a topic as `barometer`, `accelerometer`, or both";
+    return "set `barometer`, `accelerometer`, or both, to a topic";
   for (const std::string* const topic : {&config.barometer, &config.accelerometer})
     if (!topic->empty() && !is_topic_name(*topic)) return "\"" + *topic + "\" is not a topic";
   return "";

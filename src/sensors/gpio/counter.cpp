@@ -124,9 +124,9 @@ CounterSensor::CounterSensor(Loop& loop, SensorConfig sensor, CounterConfig conf
     throw SetupError({Errc::bad_argument, "cannot use this counter", "sensor " + sensor.name, why, advice});
   };
   if (config.input.line.text.empty()) refuse("it has no line", "set `line`, such as \"GPIO17\"");
-  if (!std::isfinite(config.per_pulse) || config.per_pulse == 0) refuse("per_pulse is 0 or no number", "such as 1");
+  if (!std::isfinite(config.per_pulse) || config.per_pulse == 0) refuse("per_pulse is 0 or not a number", "such as 1");
   if (config.per != "s" && config.per != "min" && config.per != "h")
-    refuse("`per` is not a unit of time", "s, min or h");
+    refuse("`per` is not a unit of time", "use s, min or h");
   if (config.still_after <= Duration{0}) refuse("still_after is not positive", "such as 5 s");
   if (config.input.consumer == GpioInput{}.consumer) config.input.consumer += " " + sensor.name;
   auto type = detail::described_type(counter_description(config).or_throw());

@@ -87,7 +87,7 @@ class EdgeNode final : public StreamNode {
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", "line " + config_.input.line.text,
             "no edge for " + to_string(config_.silence),
-            "check what drives the line; `silence` sets how long it may be still"};
+            "check what drives the line; `silence` is how long the line may have no edge"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();

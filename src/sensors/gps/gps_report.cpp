@@ -57,7 +57,7 @@ bool is_leap_second(std::string text) {
 }
 
 Error unusable(Errc code, std::string where, std::string why) {
-  return {code, "cannot use a line of gpsd", std::move(where), std::move(why), "is it gpsd that serves this port?"};
+  return {code, "cannot use a line of gpsd", std::move(where), std::move(why), "check that gpsd serves this port"};
 }
 
 /// Follows the parser through one object.

@@ -22,9 +22,9 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_read = "cannot read this computer's counters";
-constexpr const char*
-    not_here = "this machine or its kernel does not have this value; `rtdata types host` lists the values that it has";
-constexpr const char* not_now = "the kernel cannot read it now; `dmesg` may say why";
+constexpr const char* not_here =
+    "choose another `quantity` (`rtdata types host` lists those of this computer): its kernel does not have this one";
+constexpr const char* not_now = "see `dmesg`: the kernel cannot read the value now";
 
 /// A file of /proc that stays open; its buffer grows until the text fits, and then stays.
 class ProcFile {
@@ -281,8 +281,9 @@ Result<SysFiles> find_input(const HostConfig& config) {
     const auto inputs = zones.empty() ? detail::hwmon_inputs(config.root, "temp") : std::vector<detail::HwmonInput>{};
     if (zones.empty() && inputs.empty()) {
       return Error{Errc::not_found, "cannot read a temperature",
-                   config.root + "/sys/class/thermal, " + config.root + "/sys/class/hwmon", "this machine shows none",
-                   "virtual machines have none; load the driver of the chip (`sensors-detect`)"};
+                   config.root + "/sys/class/thermal, " + config.root + "/sys/class/hwmon",
+                   "this computer has no thermometer",
+                   "load the driver of the chip (`sensors-detect` finds it); virtual machines have no thermometer"};
     }
     device = zones.empty() ? inputs.front().device : zones.front().device;
   }
@@ -312,7 +313,7 @@ Reading<HostProcess> process_times(std::string_view schedstat) {
   return process;
 }
 
-constexpr const char* no_device = "it does not say which device";
+constexpr const char* no_device = "`device` is missing";
 
 /// The properties of a quantity.
 struct Quantity {

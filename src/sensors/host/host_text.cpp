@@ -43,12 +43,12 @@ class Words {
 
 Error bad(const char* file) {
   return {Errc::bad_data, "cannot read this computer's counters", file, "its text is not as expected",
-          "report to the project which kernel this is"};
+          "report the version of this kernel to the project"};
 }
 Error missing(const char* file, std::string_view device) {
   return {Errc::not_found, "cannot read this computer's counters", file,
-          "there is no \"" + std::string(device) + "\" in it",
-          "check `device`; `rtdata types host` lists what there is"};
+          "it does not contain \"" + std::string(device) + "\"",
+          "check `device`; `rtdata types host` lists the devices"};
 }
 
 }  // namespace
@@ -186,7 +186,7 @@ Result<std::int64_t> parse_number(std::string_view text) {
   const std::string_view word = trimmed(text);
   const auto [end, status] = std::from_chars(word.data(), word.data() + word.size(), number);
   if (status != std::errc{} || end != word.data() + word.size()) {
-    return Error{Errc::not_a_number, "cannot read a file of /sys", "", "it does not hold one whole number", ""};
+    return Error{Errc::not_a_number, "cannot read a file of /sys", "", "it does not contain one whole number", ""};
   }
   return number;
 }

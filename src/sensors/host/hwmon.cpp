@@ -140,8 +140,8 @@ Result<HwmonInput> find_hwmon(const std::string& root, std::string_view prefix, 
   const std::string where = root + "/sys/class/hwmon" + (device.empty() ? "" : ": " + device);
   if (found.empty()) {
     return Error{Errc::not_found, cannot_read_hwmon, where,
-                 all.empty() ? "this machine shows none" : "there are " + all,
-                 "load the driver of the chip (`sensors-detect`); `rtdata scan` lists what there is"};
+                 all.empty() ? "this machine has no hwmon sensors" : "available: " + all,
+                 "load the driver of the chip (`sensors-detect` finds it); `rtdata scan` lists the sensors"};
   }
   return Error{Errc::bad_argument, cannot_read_hwmon, where, "there are several: " + alike,
                "set `device` to one of them"};

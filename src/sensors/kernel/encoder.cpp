@@ -57,8 +57,9 @@ Result<std::string> find_one(const std::string& in, std::string_view prefix, con
   }
   if (found.size() == 1) return in + "/" + found.front();
   const std::string where = which.empty() ? in : in + ": " + which;
-  if (all.empty()) return Error{Errc::not_found, cannot_read_counter, where, "this machine has none", counter_advice};
-  if (found.empty()) return Error{Errc::not_found, cannot_read_counter, where, "there are " + all, counter_advice};
+  if (all.empty())
+    return Error{Errc::not_found, cannot_read_counter, where, "this machine has no counter", counter_advice};
+  if (found.empty()) return Error{Errc::not_found, cannot_read_counter, where, "available: " + all, counter_advice};
   return Error{Errc::bad_argument, cannot_read_counter, where, "there are several: " + all,
                std::string("set `") + parameter + "` to the number of one"};
 }
@@ -98,7 +99,7 @@ Result<void> choose_function(const std::string& in, const std::string& function)
   if (!found) {
     return Error{Errc::bad_argument, "cannot set the signals to count", file,
                  "the driver has no function \"" + function + "\"" + (available.empty() ? "" : "; it has " + available),
-                 "set `function` to one of the driver's"};
+                 "set `function` to one of these"};
   }
   auto written = detail::write_kernel_file(file, function, "cannot set the signals to count");
   if (written) return {};
@@ -209,15 +210,15 @@ class EncoderDevice final : public detail::LaneDevice {
     }
     if (found_.ceiling && raw > *found_.ceiling) {
       return port.fail({Errc::out_of_range, cannot_read_counter, found_.folder,
-                        "its count " + std::to_string(raw) + " is above the ceiling of when it was opened, " +
+                        "its count " + std::to_string(raw) + " is above the ceiling at its opening, " +
                             std::to_string(*found_.ceiling),
-                        "another program has set another ceiling: it is opened again"});
+                        "find the program that changed the ceiling; the counter is opened again"});
     }
     const std::int64_t before = found_.tracker.count();
     if (!found_.tracker.take(raw)) {
       return port.fail({Errc::bad_data, cannot_read_counter, found_.folder,
                         "its count has gone back from " + std::to_string(before) + " to " + std::to_string(raw),
-                        "another program has set it, or it wraps around: then set `bits`"});
+                        "set `bits` if it wraps around; otherwise find the program that set it"});
     }
     reading.count = found_.tracker.count();
     reading.position = static_cast<double>(reading.count) * config_.per_count;
@@ -298,10 +299,10 @@ EncoderSensor::EncoderSensor(Loop& loop, SensorConfig sensor, EncoderConfig conf
   const auto refuse = [&](const char* why, const char* advice) {
     throw SetupError({Errc::bad_argument, "cannot use this counter", "sensor " + sensor.name, why, advice});
   };
-  if (!std::isfinite(config.per_count) || config.per_count == 0) refuse("per_count is 0 or no number", "such as 1");
+  if (!std::isfinite(config.per_count) || config.per_count == 0) refuse("per_count is 0 or not a number", "such as 1");
   if (config.per != "s" && config.per != "min" && config.per != "h")
-    refuse("`per` is not a unit of time", "s, min or h");
-  if (config.bits > 63) refuse("`bits` is more than 63", "such as 16");
+    refuse("`per` is not a unit of time", "use s, min or h");
+  if (config.bits > 63) refuse("`bits` is larger than 63", "such as 16");
   auto type = detail::described_type(encoder_description(config).or_throw());
   *this = EncoderSensor(detail::make_sensor(loop, std::move(sensor), std::move(type),
                                             std::make_unique<EncoderDevice>(std::move(config))));

@@ -238,7 +238,7 @@ class IioBufferNode final : public StreamNode {
     if (!got) return lose(got.error(), loop()->now());
     if (*got == 0) {
       if (hung_up)
-        lose({Errc::disconnected, "lost the IIO device", config_.device, "it has gone away", ""}, loop()->now());
+        lose({Errc::disconnected, "lost the IIO device", config_.device, "the device is gone", ""}, loop()->now());
       return;
     }
     const std::size_t size = capture_->layout().size();
@@ -317,14 +317,15 @@ class IioBufferNode final : public StreamNode {
   }
   void report_missing(bool is_dropped) {
     const std::string many = missing_ > 0 ? "about " + std::to_string(missing_) + " by their times"
-                                          : std::string("how many is not known");
+                                          : std::string("their number is unknown");
     degrade({Errc::backlog, "scans are missing", config_.device,
-             is_dropped ? "the buffer was full: " + many : many + ": the trigger or the driver left them out",
-             is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or check its bus"});
+             is_dropped ? "the buffer was full: " + many : many + ": the trigger or the driver skipped them",
+             is_dropped ? "set a larger `length`, or find out what held the loop"
+                        : "set a lower rate, or check the bus of the device"});
   }
   void report_odd_time() {
     degrade({Errc::bad_data, "the times of scans are not used", config_.device,
-             has_clock_ ? "by the device's clock, a scan was taken " + to_string(odd_) + " away from when it came"
+             has_clock_ ? "the device clock and the arrival time of a scan differ by " + to_string(odd_)
                         : "the device uses the clock " + capture_->clock(),
              "the times of the reads are used instead"});
   }
@@ -338,7 +339,7 @@ class IioBufferNode final : public StreamNode {
 
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", config_.device, "no scan for " + to_string(config_.silence),
-            "check whether its trigger fires; `silence` sets how long it may be silent"};
+            "check whether its trigger fires; `silence` is how long it may be silent"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();

@@ -15,7 +15,7 @@ namespace {
 constexpr const char* cannot_read_pps = "cannot read the pulses";
 constexpr const char*
     find_advice = "`ls /sys/class/pps` lists the sources; an overlay or ldattach makes one (docs/iio.md)";
-constexpr std::string_view no_name = "`device` is a name such as pps0, or /dev/pps0";
+constexpr std::string_view no_name = "`device` must be a name such as pps0, or /dev/pps0";
 constexpr Duration least_wait = std::chrono::milliseconds{2};
 constexpr Duration first_wait = std::chrono::milliseconds{20};
 constexpr Duration longest_wait = std::chrono::milliseconds{100};
@@ -62,7 +62,7 @@ class PpsNode final : public StreamNode {
   Result<PpsStamp> read() {
     file_.read();
     if (file_.error_number() == ENODEV)
-      return Error{Errc::disconnected, cannot_read_pps, file_.path(), "the source has gone away",
+      return Error{Errc::disconnected, cannot_read_pps, file_.path(), "the source is gone",
                    "the program tries to open it again"};
     if (file_.error_number() != 0)
       return system_error(file_.error_number(), cannot_read_pps, file_.path(), find_advice);
@@ -156,8 +156,8 @@ class PpsNode final : public StreamNode {
       case PpsTimeCheck::Verdict::not_a_second:
         if (std::exchange(is_reported_, true)) break;
         report({Errc::bad_data, "the pulses cannot give the time of day", file_.path(),
-                "by the machine's clock, they come " + to_string(from_second(time)) + " from the whole second",
-                "set `edge` to the other, or `accuracy` to 0 for pulses that do not begin seconds"});
+                "the pulses are " + to_string(from_second(time)) + " off the full second by the computer's clock",
+                "set `edge` to the other edge, or `accuracy` to 0 if the pulses do not mark full seconds"});
         break;
       case PpsTimeCheck::Verdict::unkept_clock:
       case PpsTimeCheck::Verdict::too_few:
@@ -167,7 +167,7 @@ class PpsNode final : public StreamNode {
 
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", file_.path(), "no pulse for " + to_string(config_.silence),
-            "receivers give none before they have a fix; check the wire"};
+            "check the wire, and wait for a fix: receivers give no pulses before it"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();

@@ -24,10 +24,10 @@ Result<PpsStamp> parse_pps(std::string_view text) {
                         read_number(all.substr(hash + 1), count) == std::errc{} && seconds >= 0 && seconds <= most &&
                         count >= INT32_MIN && count <= UINT32_MAX;
   if (!is_stamp) {
-    return Error{
-        Errc::bad_data, "cannot read the pulses", "",
-        all.empty() ? "its driver does not see this edge" : "\"" + std::string(all.substr(0, 40)) + "\" is not a time",
-        all.empty() ? "set `edge` to the other" : "check `device`"};
+    return Error{Errc::bad_data, "cannot read the pulses", "",
+                 all.empty() ? "its driver does not report this edge"
+                             : "\"" + std::string(all.substr(0, 40)) + "\" is not a time",
+                 all.empty() ? "set `edge` to the other edge" : "check `device`"};
   }
   return PpsStamp{Time{std::chrono::seconds{seconds} + Duration{nanoseconds}}, static_cast<std::uint32_t>(count)};
 }

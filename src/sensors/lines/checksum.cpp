@@ -75,15 +75,16 @@ Checksum::Checksum(const LineChecksum& config) : config_(config) {
   if (config.type != Type::sum6 && config.form == Form::character)
     refuse_checksum("only `sum6` is one character", "set `form`");
   if (config.covers_after && config.after.empty())
-    refuse_checksum("there is no `after` to cover", "leave `covers_after` out");
+    refuse_checksum("`covers_after` needs `after`", "set `after`, or remove `covers_after`");
   if (config.optional && config.after.empty())
-    refuse_checksum("without `after` nothing says whether there is one", "set `after`, or leave `optional` out");
+    refuse_checksum("`optional` needs `after`: without it the program cannot tell whether a line has a checksum",
+                    "set `after`, or remove `optional`");
   auto appended = bytes_of_hex(config.append_hex);
-  if (!appended) refuse_checksum("`append_hex` is not bytes", "two hexadecimal digits each, such as \"32\"");
+  if (!appended) refuse_checksum("`append_hex` is not bytes", "write two hexadecimal digits for each, such as \"32\"");
   appended_ = *std::move(appended);
   const bool is_sum = config.type == Type::sum8 || config.type == Type::sum16;
   if (config.complement != Complement::none && !is_sum)
-    refuse_checksum("`complement` is of `sum8` and `sum16`", "leave it out");
+    refuse_checksum("`complement` works only with `sum8` and `sum16`", "remove it");
   if (config.type == Type::sum16 || config.type == Type::fletcher16) bytes_ = 2;
   const auto crc = crc_of(config.type);
   if (!crc) return;
@@ -220,13 +221,13 @@ Result<std::string_view> Checksum::checked(std::string_view text) const {
     if (config_.optional) return text;
     return wrong_checksum("it has no checksum after \"" + config_.after + "\"");
   }
-  if (!place.is_whole) return wrong_checksum("it has no checksum, or one that is cut off");
+  if (!place.is_whole) return wrong_checksum("its checksum is missing or cut off");
   if (place.number != place.right) {
     const auto shown = [&](std::uint32_t value) {
       char digits[9];
       return std::string(digits, std::to_chars(digits, digits + sizeof digits, value, 16).ptr);
     };
-    return wrong_checksum("its checksum is " + shown(place.number) + ", and should be " + shown(place.right) +
+    return wrong_checksum("its checksum is " + shown(place.number) + ", but should be " + shown(place.right) +
                           " (hexadecimal)");
   }
   return text.substr(0, place.end);

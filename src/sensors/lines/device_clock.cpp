@@ -27,10 +27,11 @@ DeviceClock::DeviceClock(const DeviceTime& config, const Description& descriptio
   const auto refuse = [&](const char* why, const char* advice) {
     throw SetupError(refused_lines("device_time", "\"" + config.field + "\" " + why, advice));
   };
-  if (leaf_ == nullptr) refuse("is not among the fields", "name the field that is the device's clock");
+  if (leaf_ == nullptr) refuse("is not among the fields", "set `field` to the field with the device's clock");
   if (!is_integer_kind(leaf_->kind) && leaf_->kind != Kind::f64)
-    refuse("cannot count", "make its `type` an integer, or double");
-  if (leaf_->optional != nullptr) refuse("is optional", "remove its `optional` and `no_value`: each line has a time");
+    refuse("cannot count", "set its `type` to an integer or double");
+  if (leaf_->optional != nullptr)
+    refuse("is optional", "remove its `optional` and `no_value`: each line must have a time");
   if (leaf_->kind != Kind::f64 && leaf_->size < 8) wraps_at_ = std::ldexp(step_, 8 * static_cast<int>(leaf_->size));
 }
 

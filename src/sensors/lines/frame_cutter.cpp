@@ -14,10 +14,11 @@ namespace {
 
 std::string bytes_of(const char* key, const std::string& text, const std::string& hex) {
   if (!text.empty() && !hex.empty())
-    refuse_frame("there are both `" + std::string(key) + "` and `" + key + "_hex`", "remove one of them");
+    refuse_frame("it has both `" + std::string(key) + "` and `" + key + "_hex`", "remove one of them");
   auto bytes = bytes_of_hex(hex);
   if (!bytes)
-    refuse_frame("`" + std::string(key) + "_hex` is not bytes", "two hexadecimal digits each, such as \"42 4d\"");
+    refuse_frame("`" + std::string(key) + "_hex` is not bytes",
+                 "write two hexadecimal digits for each, such as \"42 4d\"");
   return text.empty() ? *bytes : text;
 }
 
@@ -73,31 +74,29 @@ FrameCutter::FrameCutter(const LineFrame& config, std::size_t longest, Stream st
   if (config.stuffing != Stuffing::none) {
     if (!start_.empty() || !end_.empty() || config.after_end != 0 || config.length != 0 || config.length_at != 0 ||
         config.length_adds != 0)
-      refuse_frame("with `stuffing`, its mark says where a frame ends",
-                   "leave out all but `stuffing` and `byte_order`");
+      refuse_frame("with `stuffing`, a special byte marks the end of a frame",
+                   "remove all settings except `stuffing` and `byte_order`");
     end_ = mark_of(config.stuffing);
     plain_.reserve(longest);
     return;
   }
   const bool is_bare = stream == Stream::of_one && start_.empty() && config.length != 0 && config.length_at == 0;
   if (start_.empty() && end_.empty() && !is_bare)
-    refuse_frame("nothing says where a frame begins or ends", "set `start` or `end`, or `start_hex` or `end_hex`");
+    refuse_frame("the beginning and the end of a frame are unknown",
+                 "set `start` or `end`, or `start_hex` or `end_hex`");
   const bool has_length = config.length != 0 || config.length_at != 0;
-  if (end_.empty() && !has_length)
-    refuse_frame("nothing says where a frame ends", "set `end`, `length` or `length_at`");
+  if (end_.empty() && !has_length) refuse_frame("the end of a frame is unknown", "set `end`, `length` or `length_at`");
   if (start_.empty() && has_length && !is_bare)
-    refuse_frame("a frame of a known length has a start", "set `start` or `start_hex`");
-  if (config.length != 0 && config.length_at != 0)
-    refuse_frame("there are two lengths", "remove `length` or `length_at`");
+    refuse_frame("a frame with a length needs a start", "set `start` or `start_hex`");
+  if (config.length != 0 && config.length_at != 0) refuse_frame("it has two lengths", "remove `length` or `length_at`");
   if (config.length > longest) refuse_frame("`length` is longer than `max_line`", "set a larger `max_line`");
   if (config.length != 0 && config.length <= start_.size())
-    refuse_frame("`length` is that of the start", "count all bytes");
+    refuse_frame("`length` is not longer than the start", "set it to the number of all bytes of the frame");
   if (config.length_at != 0 && config.length_at < start_.size())
     refuse_frame("`length_at` is within the start", "count from the first byte of the start");
-  if (config.length_adds != 0 && config.length_at == 0)
-    refuse_frame("`length_adds` belongs to `length_at`", "leave it out");
+  if (config.length_adds != 0 && config.length_at == 0) refuse_frame("`length_adds` needs `length_at`", "remove it");
   if (config.after_end != 0 && (end_.empty() || has_length))
-    refuse_frame("`after_end` belongs to an `end` without a length", "leave it out");
+    refuse_frame("`after_end` works only with an `end` and without a length", "remove it");
 }
 
 /// The length that a frame says it has; empty: those bytes are still to come.
@@ -177,7 +176,7 @@ Result<std::string_view> FrameCutter::plain(std::string_view frame) {
   const bool is_good = config_.stuffing == Stuffing::cobs ? put_back_cobs(frame, plain_)
                                                           : put_back_escaped(config_.stuffing, frame, plain_);
   if (!is_good)
-    return Error{Errc::bad_data, "cannot use a frame", "frame", "its bytes are not those of its `stuffing`",
+    return Error{Errc::bad_data, "cannot use a frame", "frame", "its bytes do not follow its `stuffing`",
                  "check `stuffing` and `baud_rate`"};
   return std::string_view(plain_);
 }

@@ -160,13 +160,14 @@ void LineDecoder::use_pattern(const std::string& expression) {
       is_used = true;
     }
     if (!is_used)
-      throw SetupError(refused_lines("pattern", "no field is named \"" + group.name + "\", as a group is",
+      throw SetupError(refused_lines("pattern",
+                                     "`pattern` has a group \"" + group.name + "\", but `fields` has no such field",
                                      "add it to `fields`, or write (...) without a name"));
   }
   for (std::size_t i = 0; i < fields_.size(); ++i)
     if (groups_[i].empty() && !is_given(i))
       throw SetupError(refused_lines("field " + fields_[i].name, "`pattern` has no group of this name",
-                                     "write (?<" + fields_[i].key + ">...) where its value stands"));
+                                     "write (?<" + fields_[i].key + ">...) at the place of its value"));
 }
 
 /// Fields of a binary frame; of a pattern, those with a `wire`.
@@ -180,16 +181,16 @@ void LineDecoder::use_bytes(const LineConfig& config) {
     const auto refuse = [&](const char* why, const char* advice) {
       throw SetupError(refused_lines(field.name.empty() ? "fields" : "field " + field.name, why, advice));
     };
-    if (field.name.empty()) refuse("a binary field has no name", "leave out what is not kept");
+    if (field.name.empty()) refuse("a binary field has no name", "set its `name`, or remove the field");
     if (field.base != 10 && (is_binary || field.base != 16))
-      refuse("its bytes are no digits of another base", "leave `base` out; 16 is for a `pattern`");
+      refuse("its bytes are not digits of another base", "remove `base`: only 16 in a `pattern` is possible");
     binary.emplace(field, leaves_[i], order);
     if (!is_binary) continue;
     if (!field.at) refuse("it has no place in the frame", "set `at`, the number of its first byte, from 0");
     if (field.optional && field.no_value.empty())
-      refuse("its bytes are always there", "leave `optional` out, or say by `no_value` what stands for none");
+      refuse("its bytes always exist", "remove `optional`, or set `no_value` to the number that means no value");
     if (config.frame->length != 0 && binary->at() + binary->size() > config.frame->length)
-      refuse("it ends behind the frame", "check `at`, `type` and the frame's `length`");
+      refuse("it ends beyond the frame", "check `at`, `type` and the frame's `length`");
   }
 }
 
@@ -202,7 +203,7 @@ Result<void> LineDecoder::decode_binary(std::string_view frame) {
     const BinaryField& field = *binary_[i];
     if (field.at() + field.size() > frame.size())
       return failure(Errc::bad_data, i,
-                     "the frame has " + std::to_string(frame.size()) + " bytes, and the field ends at " +
+                     "the frame has " + std::to_string(frame.size()) + " bytes, but the field ends at " +
                          std::to_string(field.at() + field.size()));
     if (const char* const why = field.put(frame.substr(field.at(), field.size()), texts_[i], payload()))
       return failure(Errc::out_of_range, i, why);
@@ -247,7 +248,7 @@ std::string LineDecoder::advice_on(std::string_view line) const {
   const bool is_numeric = std::none_of(fields_.begin(), fields_.end(),
                                        [](const LineField& field) { return field.type == Kind::text; });
   if (is_numeric && !line.empty() && std::isalpha(static_cast<unsigned char>(line.front())) != 0)
-    return std::string(check_fields) + "; a greeting or a heading is left out by `skip_lines` or `comment`";
+    return std::string(check_fields) + "; to skip a greeting or a heading, set `skip_lines` or `comment`";
   return check_fields;
 }
 
@@ -332,7 +333,7 @@ Result<LineDecoder::Column> LineDecoder::next_column(std::size_t index, std::str
     cell_.clear();
     for (;; ++end) {
       const auto quote = rest.find('"', end);
-      if (quote == std::string_view::npos) return failure(Errc::bad_data, index, "its quote does not end");
+      if (quote == std::string_view::npos) return failure(Errc::bad_data, index, "its quote is not closed");
       cell_.append(rest.substr(end, quote - end));
       end = quote + 1;
       if (end >= rest.size() || rest[end] != '"') break;
@@ -408,8 +409,8 @@ Result<void> LineDecoder::decode_pattern(std::string_view line) {
     case LinePattern::Search::found:
       break;
     case LinePattern::Search::not_found:
-      return Error{Errc::bad_data, bad_line_, shown_line(line), "`pattern` is not found in it",
-                   "check `pattern`; `only` leaves out lines of another kind"};
+      return Error{Errc::bad_data, bad_line_, shown_line(line), "`pattern` does not match it",
+                   "check `pattern`; to skip lines of another kind, set `only`"};
     case LinePattern::Search::too_long:
       return Error{Errc::bad_data, bad_line_, shown_line(line), "`pattern` takes too many steps",
                    "write `pattern` with fewer ways to match, such as [^,]* instead of .*"};
@@ -427,7 +428,7 @@ Result<void> LineDecoder::decode_pattern(std::string_view line) {
     }
     const std::string_view value = trimmed(text.value_or(""));
     if (value.empty() && fields_[i].optional) continue;
-    if (!text) return failure(Errc::bad_data, i, "its group is in no part of " + shown_line(line) + " that matches");
+    if (!text) return failure(Errc::bad_data, i, "`pattern` matches " + shown_line(line) + ", but without this group");
     if (Result<void> done = put(i, value); !done) return done;
   }
   return {};
@@ -491,8 +492,8 @@ Result<void> LineDecoder::decode_labels(std::string_view rows) {
         if (!good) return failure(Errc::bad_data, i, good.error().why);
         row = *good;
       }
-      if (row.size() <= mark) return failure(Errc::bad_data, i, "its row has a checksum, and no value");
-      if (seen_[i]) return failure(Errc::bad_data, i, "it is there twice");
+      if (row.size() <= mark) return failure(Errc::bad_data, i, "its row contains only a checksum, no value");
+      if (seen_[i]) return failure(Errc::bad_data, i, "it occurs twice");
       std::string_view rest = row.substr(mark + 1);
       Result<Column> column = next_column(i, rest);
       for (std::size_t n = 1; column && n < fields_[i].column; ++n) {

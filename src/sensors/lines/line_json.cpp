@@ -121,7 +121,7 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
     if (form == Form::string && !is_textual)
       form = text.empty() && decoder_.fields_[i].optional ? Form::null : Form::number;
     if (decoder_.seen_[i]) {
-      error_ = decoder_.failure(Errc::bad_data, i, "it is there twice");
+      error_ = decoder_.failure(Errc::bad_data, i, "it occurs twice");
     } else if (form == Form::null && decoder_.fields_[i].optional) {
       // absent, as it is from the beginning
     } else if (form == Form::null || is_textual != (form == Form::string) ||
@@ -184,7 +184,7 @@ static std::size_t end_of_json(std::string_view line) { return std::min(line.fin
 Result<void> LineDecoder::decode_json(std::string_view line) {
   if (const std::size_t end = end_of_json(line); end != line.size())
     return Error{Errc::bad_data, bad_line_, shown_line(line),
-                 "it is not JSON from byte " + std::to_string(end + 1) + " on: there is a NUL", check_fields};
+                 "it is not JSON from byte " + std::to_string(end + 1) + " on: there is a NUL byte", check_fields};
   std::fill(seen_.begin(), seen_.end(), false);
   if (!choices_.empty()) choose_in_json(line);
   JsonHandler handler(*this);

@@ -293,7 +293,7 @@ void LineNode::report_outside(bool is_much) {
     if (!is_much) return;
   }
   fail_line({Errc::bad_data, "bytes outside of a frame", place_,
-             std::to_string(size) + (size == 1 ? " byte is" : " bytes are") + " thrown away", advice_});
+             std::to_string(size) + (size == 1 ? " byte is" : " bytes are") + " discarded", advice_});
 }
 
 /// False: it cannot be used.
@@ -303,8 +303,9 @@ bool LineNode::take_frame(std::string_view frame) {
     return true;
   }
   if (!config_.checksum && cutter_->holds_another(frame)) {
-    fail_line({Errc::bad_data, "cannot use a frame", place_, "another one begins within it: its end was lost",
-               std::string(advice_) + "; with a `checksum` or a length, its start may stand in it"});
+    fail_line({Errc::bad_data, "cannot use a frame", place_,
+               "a second frame begins inside this frame: the end of the first was lost",
+               std::string(advice_) + "; if the start bytes can occur in the data, set `checksum` or a length"});
     return false;
   }
   const Result<std::string_view> plain = cutter_->plain(frame);
@@ -327,8 +328,8 @@ bool LineNode::take_frame(std::string_view frame) {
 }
 
 void LineNode::fail_unended() {
-  fail_line(
-      {Errc::bad_data, "no end of a line", place_, std::to_string(unended_) + " bytes came without one", advice_});
+  fail_line({Errc::bad_data, "no end of a line", place_, std::to_string(unended_) + " bytes came without a line end",
+             advice_});
 }
 
 /// Reports at the end that bytes came but never a usable line.
@@ -379,7 +380,7 @@ void LineNode::end_message() {
 
 Error LineNode::silence_error() const {
   return {Errc::timed_out, "nothing comes", place_, "it has been silent for " + to_string(config_.silence),
-          "check the device; `silence` sets how long it may be silent"};
+          "check the device; `silence` is how long it may be silent"};
 }
 
 void LineNode::take_line(std::string_view line) {
@@ -428,14 +429,14 @@ Time LineNode::time_of_decoded() {
   RuntimeCore& runtime = loop()->runtime;
   if (clock_->take_useless())
     runtime.log(LogLevel::warning, object_name(),
-                "the clock of the device does not run as ours does, or stands still at times: the times of events are "
-                "those of the reads from now on; check `field` and `step` of `device_time`");
-  if (clock_->take_restart())
-    runtime.log(LogLevel::info, object_name(), "the clock of the device has started again, or was set");
+                "the device clock differs too much from the computer's clock, or stops at times: from now on events "
+                "get the time of the read; check `field` and `step` of `device_time`");
+  if (clock_->take_restart()) runtime.log(LogLevel::info, object_name(), "the device clock restarted, or was set");
   if (const auto drift = clock_->take_drift())
     runtime.log(LogLevel::info, object_name(),
-                "the clock of the device is " + std::to_string(std::lround(std::fabs(*drift))) + " ppm " +
-                    (*drift < 0 ? "slower" : "faster") + " than ours, which its times follow");
+                "the device clock is " + std::to_string(std::lround(std::fabs(*drift))) + " ppm " +
+                    (*drift < 0 ? "slower" : "faster") +
+                    " than the computer's clock; event times are corrected for this");
   return runtime.event_time(at);
 }
 
@@ -465,8 +466,9 @@ void LineNode::refuse_held() {
   hold_.stop();
   decoder_->drop_last();
   unusable_lines_ += held_.unusable;
-  fail_line({Errc::bad_data, "cannot use a line", place_, "its number makes a jump that the next line takes back",
-             "a digit was lost or changed on the way: check the wires, and which other device writes to the line"});
+  fail_line({Errc::bad_data, "cannot use a line", place_,
+             "its sequence number jumps, and the next line continues the old sequence",
+             "check the wires, and whether another device writes to the line: a digit was lost or changed"});
 }
 
 void LineNode::take_sentence(std::string_view line) {
@@ -483,7 +485,7 @@ void LineNode::take_sentence(std::string_view line) {
   const unsigned opening = openings_;
   if (has_more) {
     fail_line({Errc::bad_data, "cannot use the bytes before a sentence", place_,
-               std::to_string(begin) + " bytes outside of an NMEA sentence", "let the receiver send NMEA only"});
+               std::to_string(begin) + " bytes outside of an NMEA sentence", "set the receiver to send only NMEA"});
     if (fd_ < 0 || openings_ != opening) return;
     line.remove_prefix(begin);
   }
@@ -517,7 +519,7 @@ void LineNode::fail_overlong() {
   }
   fail_line({Errc::does_not_fit, "cannot use a line", place_,
              "it is longer than " + std::to_string(config_.max_line) + " bytes",
-             std::string(advice_) + "; `max_line` sets how long a line may be"});
+             std::string(advice_) + "; set a larger `max_line` if lines can be longer"});
 }
 
 void LineNode::fail_line(const Error& error) {

@@ -77,7 +77,7 @@ struct LinePattern::Compiled {
 
 LinePattern::LinePattern(const std::string& expression, const char* key, bool of_bytes) {
   if (expression.empty())
-    throw SetupError(refused_lines(key, "there is no regular expression", "such as \"T=(?<temp>[-0-9.]+)\""));
+    throw SetupError(refused_lines(key, "there is no regular expression", "set it, such as \"T=(?<temp>[-0-9.]+)\""));
   if (const Result<void> loaded = libpcre2.load(); !loaded) throw SetupError(loaded.error());
   compiled_ = std::make_unique<Compiled>();
   int number = 0;
@@ -89,7 +89,7 @@ LinePattern::LinePattern(const std::string& expression, const char* key, bool of
   compiled_->code = compiled(PCRE2_AUTO_CALLOUT);
   if (compiled_->code == nullptr)
     throw SetupError(refused_lines(key, "at character " + std::to_string(at) + ": " + message_of(number),
-                                   "it is a regular expression of Perl's kind; `man pcre2pattern` describes them"));
+                                   "use the syntax of Perl: `man pcre2pattern` describes it"));
   compiled_->plain_code = compiled(0);
   compiled_->limits = pcre2_match_context_create(nullptr);
   compiled_->few_steps = pcre2_match_context_create(nullptr);

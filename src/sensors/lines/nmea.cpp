@@ -67,10 +67,10 @@ struct NmeaFixes::Columns {
     const std::optional<double> value = number(i);
     if (!value) return std::nullopt;
     const std::string_view side = at(i + 1);
-    if (side.size() != 1 || (side[0] != positive && side[0] != negative)) return refuse(i + 1, "is no hemisphere");
+    if (side.size() != 1 || (side[0] != positive && side[0] != negative)) return refuse(i + 1, "is not a hemisphere");
     const double degrees = std::floor(*value / 100), minutes = *value - 100 * degrees;
     const double angle = degrees + minutes / 60;
-    if (*value < 0 || minutes >= 60 || angle > most) return refuse(i, "is no angle");
+    if (*value < 0 || minutes >= 60 || angle > most) return refuse(i, "is not an angle");
     return side[0] == positive ? angle : -angle;
   }
   /// Latitude and longitude, from column `i` on. Nothing: one of both is missing.
@@ -143,7 +143,7 @@ Result<void> NmeaFixes::read_gga(const Columns& columns, Draft& draft) const {
   draft.fix.satellites_used.reset();
   if (used) draft.fix.satellites_used = static_cast<std::uint16_t>(*used);
   if (!quality)
-    return columns.has_position(2) ? columns.bad(6, "is not a quality of a fix") : Result<void>();  // it says nothing
+    return columns.has_position(2) ? columns.bad(6, "is not a fix quality") : Result<void>();  // it says nothing
   if (*quality == 0) {  // what stands for the position is none
     draft.is_void = true;
     return {};
@@ -176,7 +176,7 @@ Result<void> NmeaFixes::read_rmc(const Columns& columns, Draft& draft) const {
     draft.is_void = true;
     return {};
   }
-  if (status != "A") return columns.bad(2, "is not a status of a fix");
+  if (status != "A") return columns.bad(2, "is not a fix status");
   const auto position = columns.position(3);
   if (position && (!draft.fix.lat || !draft.fix.lon)) {  // GGA may have more digits
     draft.fix.lat = position->first;
@@ -299,7 +299,7 @@ void NmeaFixes::finish(const Publish& publish) {
 
 Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& publish) {
   const auto bad = [&](const char* why) { return failure(Errc::bad_data, line, why); };
-  if (line.size() < 4 || (line[0] != '$' && line[0] != '!')) return bad("this is not a sentence of NMEA");
+  if (line.size() < 4 || (line[0] != '$' && line[0] != '!')) return bad("this is not an NMEA sentence");
   const std::size_t star = line.size() - 3;
   if (line[star] != '*') return bad("it has no checksum");
   const int high = hex_digit(line[star + 1]), low = hex_digit(line[star + 2]);

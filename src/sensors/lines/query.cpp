@@ -22,10 +22,10 @@ std::optional<Mistake> mistake_in_request(const Query::Config& config) {
   if (config.request.empty() && config.request_hex.empty())
     return Mistake{"request", "there is no request", "set `request` or `request_hex`"};
   if (!config.request.empty() && !config.request_hex.empty())
-    return Mistake{"request_hex", "there is a `request` too", "remove one of them"};
+    return Mistake{"request_hex", "there is also a `request`", "remove one of them"};
   const auto bytes = detail::bytes_of_hex(config.request_hex);
   if (!bytes || (config.request.empty() && bytes->empty()))
-    return Mistake{"request_hex", "these are not bytes", "two hexadecimal digits each, such as \"02 4d 0d\""};
+    return Mistake{"request_hex", "these are not bytes", "write two hexadecimal digits for each, such as \"02 4d 0d\""};
   return std::nullopt;
 }
 
@@ -63,10 +63,10 @@ void check_config(const Query::Config& config, const ConfigItem& item, Problems&
   detail::check_at_open(config.prepare_hex, item, problems, "prepare_hex");
   if (const ConfigItem* const at = item.find("prepare_wait");
       at != nullptr && config.prepare_wait > Duration{0} && config.prepare.empty() && config.prepare_hex.empty())
-    problems.add(at->problem("bad-value", "there is no `prepare` to wait for"));
+    problems.add(at->problem("bad-value", "`prepare_wait` needs `prepare`"));
   if (config.at_open_answers && config.at_open.empty() && config.at_open_hex.empty()) {
     const ConfigItem* const at = item.find("at_open_answers");
-    problems.add((at != nullptr ? *at : item).problem("bad-value", "there is no `at_open` to answer"));
+    problems.add((at != nullptr ? *at : item).problem("bad-value", "`at_open_answers` needs `at_open`"));
   }
   detail::check_lines_of(as_lines(config), detail::FrameCutter::Stream::of_one, item, problems);
 }
@@ -155,8 +155,8 @@ Result<std::string> Query::next_frame(SerialDevice& line) {
       bytes.append(reinterpret_cast<const char*>(some.data()), *got);
     } else if (got.error().code == Errc::timed_out && bytes.size() + skipped != 0) {
       return line.error(Errc::timed_out, "no answer",
-                        std::to_string(bytes.size() + skipped) + " bytes came in " + to_string(line.answer_timeout()) +
-                            ", and no complete frame",
+                        std::to_string(bytes.size() + skipped) + " bytes came within " +
+                            to_string(line.answer_timeout()) + ", but no complete frame",
                         "check `frame`, and `baud_rate`");
     } else {
       return got.error();
@@ -188,9 +188,9 @@ Reading<DescribedValue> Query::read_frame(SerialDevice& line) {
 }
 
 Unreadable Query::echoed(SerialDevice& line) {
-  return {line.error(Errc::bad_data, "cannot use an answer", "it echoes the request",
-                     "switch its echo off, or that of the adapter, or set `echo` of the bus; `skip_lines` 1 leaves a "
-                     "line out")};
+  return {line.error(
+      Errc::bad_data, "cannot use an answer", "it echoes the request",
+      "switch off the echo of the device or the adapter, or set `echo` of the bus, or set `skip_lines` to 1")};
 }
 
 Reading<DescribedValue> Query::decoded(SerialDevice& line, std::string_view answer) {

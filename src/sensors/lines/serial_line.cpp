@@ -45,7 +45,7 @@ class SerialLineNode final : public LineNode, private SerialSource::User {
       if (::write(source_->fd(), text.data(), text.size()) == static_cast<ssize_t>(text.size())) continue;
       const int number = errno;
       source_ = nullptr;
-      return system_error(number, "cannot send `at_open`", place(), "does the device take what it is sent?");
+      return system_error(number, "cannot send `at_open`", place(), "check that the device accepts data");
     }
     return source_->fd();
   }
@@ -80,7 +80,7 @@ class SerialLineNode final : public LineNode, private SerialSource::User {
     }
     if (dropped > 0)
       loop()->runtime.log(LogLevel::info, object_name(),
-                          std::to_string(dropped) + " bytes that had waited when the sensor was started are left out");
+                          std::to_string(dropped) + " bytes that were waiting when the sensor started are skipped");
     return is_within_line;
   }
 

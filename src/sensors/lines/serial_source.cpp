@@ -46,8 +46,8 @@ Result<std::shared_ptr<SerialSource>> SerialSource::open(LoopCore& loop, const s
       if (auto source = known->second.lock()) {
         if (all_of(source->settings_) == all_of(settings)) return source;
         return Error{Errc::busy, "cannot open the serial line", device,
-                     "another sensor of this program has it with other settings",
-                     "give all sensors of this device the same `baud_rate` and so on"};
+                     "another sensor of this program uses it with different settings",
+                     "set the same `baud_rate` and other settings for all sensors of this device"};
       }
     }
   }

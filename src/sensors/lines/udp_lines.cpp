@@ -30,25 +30,26 @@ Result<int> open_udp(const IpAddress& address, const std::string& place) {
   const auto failed = [&](const char* advice) {
     const int number = errno;
     if (fd >= 0) ::close(fd);
-    return system_error(number, "cannot hear on this port", place, advice);
+    return system_error(number, "cannot receive on this port", place, advice);
   };
-  if (fd < 0) return failed("does this machine have such addresses?");
+  if (fd < 0) return failed("check that this computer supports IPv4 or IPv6, as `address` needs");
   const int on = 1;
   ::setsockopt(fd, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
   ::setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &buffer_size, sizeof buffer_size);
   if (address.is_group()) ::setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);  // others may hear it too
   if (::bind(fd, address.get(), address.size) != 0)
-    return failed(errno == EADDRINUSE ? "another program, or another sensor, has this port: `ss -ulp` shows which"
+    return failed(errno == EADDRINUSE ? "choose another port, or end the program that uses this one (`ss -ulp` shows "
+                                        "it); it may also be another sensor"
                                       : "check `address` and `port`");
   if (!address.is_group()) return fd;
   if (address.is_v6()) {
     const ipv6_mreq group{address.v6().sin6_addr, 0};
     if (::setsockopt(fd, IPPROTO_IPV6, IPV6_JOIN_GROUP, &group, sizeof group) != 0)
-      return failed("is there a network that multicast goes through?");
+      return failed("check that a network interface supports multicast");
   } else {
     const ip_mreqn group{address.v4().sin_addr, {}, 0};
     if (::setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &group, sizeof group) != 0)
-      return failed("is there a network that multicast goes through?");
+      return failed("check that a network interface supports multicast");
   }
   return fd;
 }
@@ -100,7 +101,7 @@ class UdpLinesNode final : public LineNode {
     LineNode::close_stream();
   }
   void source_ended(int error_number) override {
-    lose(system_error(error_number, "cannot hear on this port", place(), "check the network"), loop()->now());
+    lose(system_error(error_number, "cannot receive on this port", place(), "check the network"), loop()->now());
   }
 
   void read_datagrams(int fd) {
@@ -132,7 +133,7 @@ class UdpLinesNode final : public LineNode {
       if ((message.msg_flags & MSG_TRUNC) != 0) {
         fail({Errc::does_not_fit, "cannot use a datagram", place(),
               "it is longer than " + std::to_string(UdpLinesConfig::longest_datagram) + " bytes",
-              "let the device send less at once"});
+              "set the device to send smaller datagrams"});
         continue;
       }
       taken += static_cast<std::size_t>(got);
@@ -159,7 +160,7 @@ class UdpLinesNode final : public LineNode {
     if (more == 0) return;
     const Error error{Errc::backlog, "datagrams are lost", place(),
                       "the kernel has dropped " + std::to_string(more) + ": its buffer was full",
-                      "let the loop do less at once, or the device send less"};
+                      "find what holds the loop, or set the device to send less"};
     // The numbers of the lines tell how many are missing; without them each datagram is one that could not be read.
     if (!config().sequence_field.empty()) {
       if (is_end) origin_.counts.lost += more;  // no number will follow
@@ -206,7 +207,7 @@ ReadTime read_time(const UdpLinesConfig& config) { return read_time(config.lines
 
 UdpLines::UdpLines(Loop& loop, FeedConfig feed, UdpLinesConfig config) {
   const auto refuse = [&](std::string why) {
-    throw SetupError({Errc::bad_argument, "cannot hear on this port", "sensor " + feed.name, std::move(why),
+    throw SetupError({Errc::bad_argument, "cannot receive on this port", "sensor " + feed.name, std::move(why),
                       "check `address`, `port` and `from`"});
   };
   if (auto mistake = detail::mistake_in_addresses("address", config.address, config.from))

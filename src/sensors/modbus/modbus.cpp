@@ -74,23 +74,26 @@ Error refused(const ModbusField& field, std::string why, std::string advice) {
 Result<void> check_registers(const ModbusField& field) {
   const std::string type(name_of(field.type));
   if (field.type == Kind::text) {
-    if (width_of(field) == 0) return refused(field, "a text needs its `registers`", "set how many it has");
+    if (width_of(field) == 0)
+      return refused(field, "a text needs `registers`", "set `registers` to the number of registers");
     if (is_computed(field) || field.bit || field.mask || !field.no_value.empty())
-      return refused(field, "a text is no number", "leave out what is for numbers: `scale`, `bit`, `no_value` ...");
+      return refused(field, "a text is not a number",
+                     "remove the settings for numbers: `scale`, `bit`, `no_value` ...");
     return {};
   }
-  if (detail::size_of(field.type) < 2) return refused(field, "registers hold no " + type, "choose another `type`");
+  if (detail::size_of(field.type) < 2)
+    return refused(field, "registers cannot contain a " + type, "choose another `type`");
   if (field.registers)
-    return refused(field, "only a text has `registers`", "leave it out; a " + type + " has its size");
+    return refused(field, "only a text can have `registers`", "remove it: a " + type + " has a fixed size");
   const auto bits = static_cast<unsigned>(8 * detail::size_of(field.type));
   if (field.bit && (!detail::is_integer_kind(field.type) || *field.bit >= bits))
     return refused(field, "a " + type + " has no bit " + std::to_string(*field.bit), "set `bit` or `type`");
   if (field.bit && (is_computed(field) || field.mask))
-    return refused(field, "a single bit is no number", "leave out what is for numbers: `scale`, `mask` ...");
+    return refused(field, "a single bit is not a number", "remove the settings for numbers: `scale`, `mask` ...");
   if (field.mask) {
     const bool is_unsigned = field.type == Kind::u16 || field.type == Kind::u32 || field.type == Kind::u64;
     if (!is_unsigned)
-      return refused(field, "a `mask` is for numbers without a sign", "set `type` to uint16 or the like");
+      return refused(field, "`mask` works only for numbers without a sign", "set `type` to uint16 or the like");
     if (*field.mask == 0 || (bits < 64 && *field.mask >> bits != 0))
       return refused(field, "a " + type + " has none of the bits of its `mask`, or not all", "set `mask`");
   }
@@ -98,8 +101,8 @@ Result<void> check_registers(const ModbusField& field) {
     return refused(field, "its scale is 0, or it is not a number", "set `scale`");
   for (const double none : field.no_value)
     if (!can_be_raw(field.type, none))
-      return refused(field, "registers of type " + type + " never hold its `no_value`",
-                     "set the raw number, before `scale` and `offset`");
+      return refused(field, "registers of type " + type + " can never contain its `no_value`",
+                     "set `no_value` to the raw number, before `scale` and `offset`");
   return {};
 }
 
@@ -107,7 +110,7 @@ Result<void> check_registers(const ModbusField& field) {
 
 Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config) {
   if (config.most_registers > ModbusDevice::most_registers)
-    return Error{Errc::bad_argument, "cannot use these fields", "", "a request has up to 125 registers",
+    return Error{Errc::bad_argument, "cannot use these fields", "", "a request can have at most 125 registers",
                  "set `most_registers`"};
   DescriptionBuilder builder("modbus");
   for (const ModbusField& field : config.fields) {
@@ -118,9 +121,9 @@ Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config
       return refused(field, "it goes beyond address 65535", "set another `address`");
     if (!is_of_bits(field.table) && width > config.most_registers)
       return refused(field,
-                     "it has " + std::to_string(width) + " registers, and a request may have " +
+                     "it has " + std::to_string(width) + " registers, but a request may have only " +
                          std::to_string(config.most_registers),
-                     "set `most_registers`; what changes between two requests would be half of each");
+                     "set a larger `most_registers`: with two requests, the value could be half old and half new");
     using Presence = DescriptionBuilder::Presence;
     if (published_kind(field) == Kind::text) {
       builder.text(field.name, 2 * std::size_t{width});
@@ -130,7 +133,7 @@ Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config
     }
   }
   if (config.fields.empty())
-    return Error{Errc::bad_argument, "cannot use these fields", "", "there are none", "list them in `fields`"};
+    return Error{Errc::bad_argument, "cannot use these fields", "", "there are no fields", "list them in `fields`"};
   auto made = builder.build();
   if (made && (*made)->size() > max_payload_size)
     return Error{Errc::bad_argument, "cannot use these fields", "", "they need more than 4 KiB",
@@ -310,7 +313,7 @@ Result<void> Modbus::put(DescribedValue& value, std::size_t index) const {
     exponent = static_cast<std::int16_t>(word);
     if (std::abs(exponent) > most_exponent)
       return Error{Errc::not_a_number, "cannot use a value", "field " + field.name,
-                   "its scale factor is " + std::to_string(exponent) + ", and those of SunSpec are -10 to 10",
+                   "its scale factor is " + std::to_string(exponent) + ", but scale factors of SunSpec are -10 to 10",
                    "check `scale_from`"};
   }
   const Result<double> number = decode(field, words, order, exponent);
