@@ -168,16 +168,18 @@ class Accelerometer : public InertialDriver<AccelerometerConfig, AccelerometerRe
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL; CS on 3.3 V for I2C. Address: 0x53, with SDO (ALT ADDRESS) high 0x1d; LIS3DH:
   0x18, with SDO (SA0) high 0x19.
-  On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of `address`; to 1.6 MHz, at which the FIFO has the time
-  between two readings that it needs.
-- The chip takes `sample_rate` samples a second by itself and keeps up to 32 in its FIFO; `rate` says how often it is
-  emptied. Each sample is an event. At 800 samples a second it is full after 40 ms: `"rate": "50 Hz"` or more.
-- What does not fit is counted as `lost`, by the time and the chip's rate, within one each time.
-- Times are right within a period: the chip's clock is not read, its rate is learned.
+On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of `address`; to 1.6 MHz, because the FIFO needs some
+  time between two readings.
+- The chip takes `sample_rate` samples a second by itself and keeps up to 32 in its FIFO; `rate` is how often the
+  program empties it. Each sample is an event. At 800 samples a second it is full after 40 ms: `"rate": "50 Hz"` or
+  more.
+- Samples that do not fit are counted as `lost`, from the time and the chip's rate, with an error of at most one each
+  time.
+- Times are accurate to one period: the chip's clock is not read; the program learns its rate.
 - An ADXL345 and an ADXL375 have one identity: a wrong `model` is not noticed, and its values are wrong by a factor of
-  12.5. So have an LIS3DH and an LIS2DH12, whose values differ little.
-- `"self_test": true` (ADXL345) takes 0.35 s at each start, in which the chip must lie still, and so needs a `timeout`
-  of the bus above that.
+  12.5. An LIS3DH and an LIS2DH12 also have one identity, but their values differ little.
+- `"self_test": true` (ADXL345) takes 0.35 s at each start; the chip must lie still meanwhile, and the `timeout` of the
+  bus must be longer.
 - A read on a bus of 400 kHz takes 0.25 ms a sample.
 )";
   static constexpr RegisterPlace place{0x53};

@@ -57,13 +57,14 @@ class Ads1x15 {
       description = "voltages by an ADS1015 or ADS1115 on I2C, with a range for each channel";
   static constexpr std::string_view notes = R"(
 - Address by the pin ADDR: to GND 0x48, VDD 0x49, SDA 0x4a, SCL 0x4b.
-- `input` is one of 0, 1, 2, 3 (against ground) and 0-1, 0-3, 1-3, 2-3 (the first less the second).
-- `range` is 6.144, 4.096, 2.048, 1.024, 0.512 or 0.256 V to both sides. No input may go above the supply, whatever the
-  range is. A channel at an end of its range has no value, and is counted as unreadable.
+- `input` is one of 0, 1, 2, 3 (against ground) and 0-1, 0-3, 1-3, 2-3 (the first minus the second).
+- `range` is 6.144, 4.096, 2.048, 1.024, 0.512 or 0.256 V, plus or minus. No input may be above the supply voltage,
+  whatever the range is. A channel at an end of its range has no value, and is counted as unreadable.
 - Each channel is a field (`ain0`, `ain0_ain1` unless it has a `name`).
-- The channels are converted one after the other: all take `channels` / `data_rate`, and a tenth more.
+- The channels are converted one after the other: all together take the number of channels divided by `data_rate`, plus
+  10 %.
 - `data_rate`: ADS1115 8, 16, 32, 64, 128, 250, 475 or 860 a second; ADS1015 128, 250, 490, 920, 1600, 2400 or 3300.
-- The chip has no identity: another one at its address is told because it does not keep these settings.
+- The chip has no identity: another chip at its address is detected because it does not keep these settings.
 )";
 
   struct Channel {

@@ -282,13 +282,14 @@ class Barometer {
   0x77 when it is high (a BMP581 or BMP585: 0x46, 0x47; an MS5611: the other way round). Boards with a pin CS have it on
   3.3 V for I2C. On SPI: SDO, SDI (SDA), SCK (SCL), CS (of an MS5611 PS is low then); `chip_select` in place of
   `address`; to 10 MHz.
-- Range: 300 to 1100 hPa (BMP390, BMP581, BMP585: 1250; MS5611: 10 to 1200), which is 9 km, with an MS5611 30 km. A chip
-  goes on beyond it, with a greater error.
+- Range: 300 to 1100 hPa (BMP390, BMP581, BMP585: 1250; MS5611: 10 to 1200), which is 9 km, with an MS5611 30 km. A
+  chip also measures beyond it, with a larger error.
 - `altitude` follows the ICAO standard atmosphere, in geopotential metres; weather moves it by 8 m a hPa. Set
-  `reference_pressure` to today's pressure at sea level, or to that of the ground where heights are to begin.
-- Only a BME280 has `humidity`; of the others it is absent. A BMP388 and a BMP390, a BMP280 and a BME280 differ in
-  identity; a wrong `model` is refused, and the error says which one it seems to be. A BMP580 is a BMP581 here: both have
-  the same identity and registers.
+  `reference_pressure` to today's pressure at sea level, or to the pressure at the ground level from which you count
+  heights.
+- Only a BME280 has `humidity`; for the others it is absent. A BMP388 and a BMP390, a BMP280 and a BME280 differ in
+  identity; a wrong `model` is refused, and the error names the chip that it seems to be. For a BMP580 use the model
+  `bmp581`: both have the same identity and registers.
 - Oversampling averages: less noise, and a longer measurement, which must fit into the period of `rate`.
 )";
   struct Config {

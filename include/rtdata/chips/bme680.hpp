@@ -181,13 +181,13 @@ class Bme680 {
       description = "temperature, pressure, humidity and gas resistance of a BME680 or BME688 on I2C";
   static constexpr std::string_view notes = R"(
 - Wires: 3.3 V, ground, SDA, SCL. The pin SDO chooses the address: 0x76 when it is low, 0x77 when it is high.
-- `gas_resistance` falls when there is more of volatile organic compounds; it also depends on humidity. Bosch's index
-  of air quality is not computed.
+- `gas_resistance` falls when there are more volatile organic compounds; it also depends on humidity. Bosch's air
+  quality index is not computed.
 - The heater is on for `heater_duration` in each reading, which must fit into the period of `rate`, and warms the chip:
-  `"rate": "0.33 Hz"` is usual. `"heater_duration": "0 s"` measures no gas.
+  `"rate": "0.33 Hz"` is usual. With `"heater_duration": "0 s"` gas is not measured.
 - A new gas sensor needs two days to settle, and half an hour after each start; the chip does not mark these values.
   While the heater has not reached its temperature, `gas_resistance` is absent, and the reading is counted as unreadable.
-- A BME680 and a BME688 are told apart by the driver.
+- The driver detects whether it is a BME680 or a BME688.
 )";
   struct Config {
     double heater_temperature = 320;                            ///< degrees Celsius

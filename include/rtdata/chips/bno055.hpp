@@ -72,13 +72,14 @@ class Bno055 {
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. Address: 0x28, with ADR (COM3) high 0x29.
 - The chip holds the clock line while it is busy (clock stretching). The I2C controller of Raspberry Pis up to the 4
-  reads wrong bytes then: use its software bus (`dtoverlay=i2c-gpio`), and name that one. Readings without sense are
-  told as unreadable, but not all wrong bytes can be noticed.
-- A new orientation comes 100 times a second: a `rate` above 100 Hz reads the same again. There is no FIFO.
-- In mode `ndof` the heading is that of the earth's magnetic field; in mode `imu` it begins at 0, drifts, and no
-  magnet disturbs it.
-- Trust an orientation when `calibration_system` is 3: lie still for the gyroscope, move in eights for the
-  magnetometer, hold six positions for the accelerometer. The calibration is made anew after each loss of power.
+  reads wrong bytes then: use its software bus (`dtoverlay=i2c-gpio`) instead. Impossible readings are reported as
+  unreadable, but not all wrong bytes can be detected.
+- A new orientation comes 100 times a second: a `rate` above 100 Hz reads the same value again. There is no FIFO.
+- In mode `ndof` the heading follows the earth's magnetic field; in mode `imu` it begins at 0 and drifts, but magnets
+  do not disturb it.
+- Trust an orientation when `calibration_system` is 3: keep the chip still for the gyroscope, move it in figures of
+  eight for the magnetometer, hold it in six positions for the accelerometer. The calibration is made anew after each
+  loss of power.
 - After switching on it needs 0.7 s; the sensor tries again until then.
 )";
   struct Config {

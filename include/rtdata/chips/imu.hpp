@@ -456,19 +456,20 @@ class Imu : public InertialDriver<ImuConfig, ImuReading> {
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: MPU and ICM 0x68, with AD0 high 0x69; LSM 0x6a, with SDO (SA0) high 0x6b.
   Boards with a pin CS have it on 3.3 V for I2C. On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of
-  `address`; an MPU to 1 MHz, an ICM to 7 MHz, the others to 10 MHz. An MPU-6050 has no SPI.
-- The chip takes `sample_rate` samples a second by itself and keeps them in its FIFO; `rate` says how often it is
-  emptied. Each sample is an event. The FIFO holds 73 samples of an MPU-6050, 36 of an MPU-6500 or 9250, 42 of an ICM-20948, 682 of an
-  LSM6DS3 (TR-C: 341), 256 of an LSM6DSO or DSOX, 32 of an LSM9DS1. Empty it at least twice as often as it fills.
-- What does not fit is counted as `lost`: exactly with an LSM6DSO or DSOX, by the time and the chip's rate with the others,
-  within one each time.
-- Times are right within a period: the chips' clocks are not read, their rates are learned.
-- An LSM6DSO and an LSM6DSOX have one identity and are used alike. The magnetometers of an MPU-9250 and an LSM9DS1 are
-  chips of their own, of type `magnetometer`. That of an ICM-20948 is not read.
+`address`; an MPU to 1 MHz, an ICM to 7 MHz, the others to 10 MHz. An MPU-6050 does not support SPI.
+- The chip takes `sample_rate` samples a second by itself and keeps them in its FIFO; `rate` is how often the program
+  empties it. Each sample is an event. The FIFO holds 73 samples of an MPU-6050, 36 of an MPU-6500 or 9250, 42 of an
+  ICM-20948, 682 of an LSM6DS3 (TR-C: 341), 256 of an LSM6DSO or DSOX, 32 of an LSM9DS1. Empty it at least twice as
+  often as it fills.
+- Samples that do not fit are counted as `lost`: exactly with an LSM6DSO or DSOX; with the others from the time and the
+  chip's rate, with an error of at most one each time.
+- Times are accurate to one period: the chips' clocks are not read; the program learns their rates.
+- An LSM6DSO and an LSM6DSOX have one identity and are used in the same way. The magnetometers of an MPU-9250 and an
+  LSM9DS1 are separate chips, of type `magnetometer`. The magnetometer of an ICM-20948 is not read.
 - Boards with an ICM-20948 have a regulator: the chip itself has 1.8 V on its bus.
-- `temperature` is with each sample of an MPU; with the others only with the newest sample of each read.
-- `"self_test": true` takes 0.4 s at each start (MPU: 0.6 s), in which the chip must lie still; the `timeout` of the
-  bus must be above that.
+- An MPU gives `temperature` with each sample; the others only with the newest sample of each read.
+- `"self_test": true` takes 0.4 s at each start (MPU: 0.6 s); the chip must lie still meanwhile, and the `timeout` of
+  the bus must be longer.
 - A read on a bus of 400 kHz takes 0.3 to 0.45 ms a sample: 1000 samples a second need a third of it or more.
 )";
   static constexpr RegisterPlace place{0x68};

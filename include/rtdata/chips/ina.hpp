@@ -56,7 +56,7 @@ class Ina {
 - The shunt lies between IN+ and IN-. Most boards with an INA219 or INA226 have one of 0.1 Ohm: to 3.2 A (INA226: 0.8 A);
   those with an INA228 mostly 0.015 Ohm: to 10.9 A. The bus may have up to 26 V (INA226: 36 V; INA228: 85 V).
 - Beyond the range of shunt or bus there is no value: it is counted as unreadable.
-- It measures some 900 times a second (INA226, INA228: 450). A reading before the chip has measured anew is counted as
+- It measures some 900 times a second (INA226, INA228: 450). A reading before the next measurement is counted as
   repeated.
 )";
   struct Config {

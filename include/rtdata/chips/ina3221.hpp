@@ -56,7 +56,7 @@ class Ina3221 {
 - Address by the pin A0: to GND 0x40, supply 0x41, SDA 0x42, SCL 0x43.
 - Each shunt lies between IN+ and IN- of its channel. Most boards have 0.1 Ohm: to 1.6 A. The buses may have up to 26 V.
 - A channel beyond its range has no value, and the reading is counted as unreadable. An open channel reads as about 0.
-- It measures all channels some 150 times a second. A reading before the chip has measured anew is counted as repeated.
+- It measures all channels some 150 times a second. A reading before the next measurement is counted as repeated.
 )";
   struct Config {
     double shunt_resistance_1 = 0.1, shunt_resistance_2 = 0.1, shunt_resistance_3 = 0.1;  ///< Ohm

@@ -205,11 +205,11 @@ class Magnetometer {
       R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: LIS3MDL and LSM9DS1 0x1c, with SDO (SA1, SDO_M) high 0x1e; AK8963 0x0c;
   HMC5883L 0x1e; QMC5883L 0x0d. Boards that are sold as HMC5883L mostly have a QMC5883L. A LIS3MDL or LSM9DS1 on
   SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of `address`; to 10 MHz.
-- An AK8963 is inside of an MPU-9250, which lets it onto the bus as soon as a sensor of type `imu` with the model
+- An AK8963 is inside an MPU-9250, which connects it to the bus as soon as a sensor of type `imu` with the model
   `mpu9250` has been opened on the same bus; until then no chip answers.
-- The chip measures `sample_rate` times a second and keeps the newest sample: a lower `rate` leaves samples out, a higher
-  one has nothing new at some ticks (an HMC5883L gives the same again).
-- Fields are in tesla: the earth's is 25e-6 to 65e-6 T. A field beyond `field_range` is told as unreadable.
+- The chip measures `sample_rate` times a second and keeps the newest sample: a lower `rate` skips samples; at a higher
+  one some ticks have nothing new (an HMC5883L gives the same value again).
+- Fields are in tesla: the earth's is 25e-6 to 65e-6 T. A field beyond `field_range` is reported as unreadable.
 - A LIS3MDL and the magnetometer of an LSM9DS1 have one identity: with the wrong `model`, values are wrong by 4 %.
 - Iron, magnets and currents nearby add to the field: calibrate each field with `process`, on the finished device.
 )";

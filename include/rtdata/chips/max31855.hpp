@@ -32,10 +32,11 @@ class Max31855 {
   static constexpr std::string_view description = "temperature of a thermocouple at a MAX31855 on SPI";
   static constexpr std::string_view notes = R"(
 - Pins: SO to MISO, SCK, CS; mode 0, `clock` to 5 MHz.
-- The letter at the end of the chip's name is the kind of its thermocouple.
-- It measures some ten times a second: a faster `rate` reads values twice.
-- An open thermocouple, and one that is shorted to ground or to the supply, is told and counted as unreadable. So are
-  answers of ones or of zeros, which mean that no chip answers; a chip with both ends at exactly 0 degrees sends the same.
+- The letter at the end of the chip's name is the type of its thermocouple.
+- It measures some ten times a second: a higher `rate` reads values twice.
+- An open thermocouple, or one that is shorted to ground or to the supply, is reported and counted as unreadable. So
+  are answers of only ones or only zeros, which mean that no chip answers; a chip with both ends at exactly 0 degrees
+  sends the same.
 )";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }

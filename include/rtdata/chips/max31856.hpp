@@ -50,10 +50,11 @@ class Max31856 {
   static constexpr std::string_view description = "temperature of a thermocouple of any kind at a MAX31856 on SPI";
   static constexpr std::string_view notes = R"(
 - Pins: SDO to MISO, SDI to MOSI, SCK, CS; `mode` 1 or 3, `clock` to 5 MHz.
-- One measurement takes 0.23 s (`mains` of 60 Hz: 0.2 s), and 40 ms (33 ms) more for each further one of `average`:
-  `rate` to 4 Hz.
-- An open thermocouple, an input beyond the supply and a temperature out of range are told and counted as unreadable.
-- The settings are read back with each measurement: a chip that was reset, or is not there, is told.
+- One measurement takes 0.23 s (`mains` of 60 Hz: 0.2 s), and 40 ms (33 ms) more for each further measurement of
+  `average`: `rate` to 4 Hz.
+- An open thermocouple, an input beyond the supply and a temperature out of range are reported and counted as
+  unreadable.
+- The settings are read back with each measurement: a chip that was reset or is missing is reported.
 )";
   struct Config {
     Thermocouple thermocouple = Thermocouple::k;

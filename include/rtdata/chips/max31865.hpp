@@ -54,9 +54,8 @@ class Max31865 {
 - `reference_resistance` is printed on the board's resistor: 4300 or 430 is 430 Ohm, for a PT100; 4301 or 4.3k is
   4300 Ohm, for a PT1000. Boards have bridges to solder for 2, 3 and 4 wires.
 - One measurement takes 77 ms (`mains` of 60 Hz: 66 ms).
-- Open and shorted wires, and resistances that belong to no temperature from -200 to 850 degrees, are told and counted
-  as unreadable.
-- The settings are read back with each measurement: a chip that was reset, or is not there, is told.
+- Open and shorted wires, and resistances outside -200 to 850 degrees, are reported and counted as unreadable.
+- The settings are read back with each measurement: a chip that was reset or is missing is reported.
 )";
   struct Config {
     RtdElement element = RtdElement::pt100;

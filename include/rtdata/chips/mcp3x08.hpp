@@ -48,11 +48,11 @@ class Mcp3x08 {
   static constexpr std::string_view description = "voltages by an MCP3008 or MCP3208 on SPI";
   static constexpr std::string_view notes = R"(
 - Pins: DOUT to MISO, DIN to MOSI, CLK, CS; mode 0 or 3, `clock` to 1 MHz at 2.7 V, 2 MHz (MCP3008: 3.6 MHz) at 5 V.
-- `input` is 0 to 7 (against ground) or one of the pairs 0-1, 1-0, 2-3, 3-2, 4-5, 5-4, 6-7 and 7-6: the first less the
+- `input` is 0 to 7 (against ground) or one of the pairs 0-1, 1-0, 2-3, 3-2, 4-5, 5-4, 6-7 and 7-6: the first minus the
   second, which must not be above the first.
 - Each channel is a field (`ain0`, `ain2_ain3` unless it has a `name`).
-- A chip that is not there reads as ones, which is told. With the data line at ground it reads as 0 V, which cannot be
-  told.
+- A missing chip reads as ones, which is reported. If the data line is at ground, it reads as 0 V, which cannot be
+  detected.
 )";
 
   struct Channel {

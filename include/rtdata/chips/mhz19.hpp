@@ -37,10 +37,10 @@ class MhZ19 {
   static constexpr std::string_view description = "CO2 of a Winsen MH-Z19 on a serial line";
   static constexpr std::string_view notes = R"(
 - Wiring: 5 V, ground, its TX to the board's RX, its RX to TX (3.3 V levels). The bus is a `serial` one with 9600 Bd.
-- It has no address: one on a line.
-- It measures anew every 2 s at most: `"rate": "0.2 Hz"` is plenty.
-- It needs 3 minutes after switching on. Values of that time are wrong: 0 ppm is counted as unreadable, others the chip
-  does not mark.
+- It has no address: connect only one to a line.
+- It measures at most every 2 s: `"rate": "0.2 Hz"` is enough.
+- It needs 3 minutes after switching on. Values of this time are wrong: 0 ppm is counted as unreadable; the chip does
+  not mark the other values.
 )";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }

@@ -52,12 +52,12 @@ class Nau7802 {
   static constexpr std::string_view description = "a load cell or another bridge at a NAU7802 on I2C";
   static constexpr std::string_view notes = R"(
 - Address 0x2a. Connect the bridge's supply to AVDD and ground (E+, E-), its output to VIN1P and VIN1N (A+, A-).
-- `supply_voltage` is what the chip makes for the bridge; it must be 0.3 V below the supply of the chip.
-- `value` is in mV/V, as load cells are specified: scale it by their full load over their sensitivity. The range to both
-  sides is 500 mV/V over `gain`.
-- With `tare_samples`, the average of the first so many samples is taken off. It is the field `tare`, and is taken once
-  in the life of the sensor.
-- A `rate` above `data_rate` brings nothing new.
+- `supply_voltage` is the voltage that the chip makes for the bridge; it must be 0.3 V below the supply of the chip.
+- `value` is in mV/V, as load cells are specified: the `scale` is their full load divided by their sensitivity. The
+  range is plus or minus 500 mV/V divided by `gain`.
+- With `tare_samples`, the mean of this number of first samples is subtracted. It is the field `tare`, and is measured
+  once in the life of the sensor.
+- A `rate` above `data_rate` gives no new values.
 )";
   struct Config {
     unsigned gain = 128;

@@ -47,12 +47,13 @@ class Scd4x {
   static constexpr std::string_view description = "CO2, temperature and humidity of an SCD40 or SCD41 on I2C";
   static constexpr std::string_view notes = R"(
 - Wires: 3.3 V (in a measurement 0.2 A for a moment), ground, SDA, SCL. One address: 0x62.
-- It measures every 5 s by itself: `"rate": "1 Hz"` or less. A reading before the chip has measured anew is counted as
+- It measures every 5 s by itself: `"rate": "1 Hz"` or less. A reading before the next measurement is counted as
   repeated.
-- Set `altitude` where the air is thin: 500 m make 6 % of the CO2.
-- The chip corrects itself by taking the least CO2 of some days for that of fresh air (its automatic self-calibration).
+- Set `altitude` in the mountains: 500 m change the CO2 value by 6 %.
+- The chip corrects itself: it assumes that the least CO2 of some days is that of fresh air (automatic
+  self-calibration).
 - The first values after switching on are less accurate; the chip does not mark them. 0 ppm is counted as unreadable.
-- At each start it takes the bus for 0.5 s.
+- At each start it holds the bus for 0.5 s.
 )";
   struct Config {
     double altitude = 0;  ///< m above the sea, for the pressure of the air

@@ -92,11 +92,11 @@ class Sgp30 {
   static constexpr std::string_view description = "CO2 equivalent and TVOC of an SGP30 on I2C";
   static constexpr std::string_view notes = R"(
 - Wires: 1.8 V (boards mostly take 3.3 V), ground, SDA, SCL. One address: 0x58.
-- `"rate": "1 Hz"`: the chip's own baseline needs one reading a second, no more and no less.
-- For 15 s after each start `co2_equivalent` and `tvoc` are absent; they are right some hours later. Its baseline is
-  not kept: each start begins anew.
+- `"rate": "1 Hz"`: the chip's own baseline needs exactly one reading per second.
+- For 15 s after each start `co2_equivalent` and `tvoc` are absent; they are correct some hours later. The baseline is
+  not stored: it is lost at each start.
 - `co2_equivalent` is computed from hydrogen, not measured: for CO2 take an SCD4x.
-- A reading takes 37 ms, and leaves the bus to others meanwhile.
+- A reading takes 37 ms, during which the bus is free for other chips.
 )";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
@@ -189,10 +189,10 @@ class Sgp40 {
 - Wires: 3.3 V, ground, SDA, SCL. One address: 0x59.
 - `signal` is in steps, proportional to the logarithm of the sensor's resistance: it falls when there is more gas. The
   VOC index of Sensirion, 0 to 500, is not computed.
-- `temperature` and `humidity` of the air, for which the chip corrects the signal, are what the configuration says.
+- The chip corrects the signal for `temperature` and `humidity` of the air, which the configuration sets.
 - `"rate": "1 Hz"`: between readings the chip keeps its heater on. It is switched off when the sensor stops. A reading
-  takes 30 ms, and leaves the bus to others meanwhile.
-- It needs a minute to warm up, and days to settle; the chip does not mark the values of that time.
+  takes 30 ms, during which the bus is free for other chips.
+- It needs a minute to warm up, and days to settle; the chip does not mark the values of this time.
 )";
   struct Config {
     double temperature = 25;  ///< degrees Celsius, of the air

@@ -55,11 +55,11 @@ class Sps30 {
   static constexpr std::string_view description = "particles in the air (PM1, PM2.5, PM4, PM10) of an SPS30 on I2C";
   static constexpr std::string_view notes = R"(
 - Wires: 5 V, ground, SDA, SCL (3.3 V levels), the pin SEL to ground. One address: 0x69. To 100 kHz.
-- It measures once a second by itself. A reading before the chip has measured anew is counted as repeated.
-- `mass_2_5` is PM2.5. Each field is of the particles from 0.3 um up to that size.
+- It measures once a second by itself. A reading before the next measurement is counted as repeated.
+- `mass_2_5` is PM2.5. Each field counts the particles from 0.3 um up to its size.
 - After a start it needs 8 s, in clean air 30 s, for its full accuracy; the chip does not mark the values of that time.
 - Once a week its fan cleans itself for 10 s, without a new value.
-- Firmware 2.2 and newer reports a laser or a fan that fails: readings are counted as unreadable then.
+- Firmware 2.2 and newer reports a laser or a fan that fails: its readings are then counted as unreadable.
 )";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }

@@ -99,9 +99,8 @@ class Modbus {
   static constexpr std::string_view aliases = "rs485 plc";
   static constexpr std::string_view description = "registers of a device that speaks Modbus, over a serial line or TCP";
   static constexpr std::string_view notes =
-      "The bus is a `modbus` one. Addresses count from 0: a document's register 40001 is `\"address\": 0` of the "
-      "holding "
-      "registers, 30001 `\"address\": 0` of the input registers. More: [modbus.md](modbus.md).";
+      "The bus is a `modbus` one. Addresses count from 0: register 40001 of a manual is `\"address\": 0` of the "
+      "holding registers, 30001 `\"address\": 0` of the input registers. More: [modbus.md](modbus.md).";
   struct Config {
     std::vector<ModbusField> fields = {};
     WordOrder word_order = WordOrder::abcd;  ///< badc and dcba: also for numbers of one register

@@ -44,11 +44,10 @@ class Query {
   static constexpr std::string_view
       description = "a device on a serial line that answers a request with a line of text";
   static constexpr std::string_view notes =
-      "The bus is a `serial` one. `request` is sent as it stands: it ends with what ends the device's commands, "
-      "\"\\n\" or "
-      "\"\\r\\n\". Binary requests are written as `request_hex`, such as \"02 4d 0d\". Answers are lines of CSV (a "
-      "number "
-      "alone is one column) or JSON, as of [serial](serial.md); a column without a name, such as a unit, is not kept.";
+      "The bus is a `serial` one. `request` is sent unchanged: it must end with the line end of the device's commands, "
+      "\"\\n\" or \"\\r\\n\". Binary requests are written as `request_hex`, such as \"02 4d 0d\". Answers are lines of "
+      "CSV (a number alone is one column) or JSON, as for [serial](serial.md); a column without a name, such as a "
+      "unit, is skipped.";
   struct Config {
     std::string request = {};                   ///< including its line end
     std::string request_hex = {};               ///< instead of `request`: bytes, as hexadecimal digits
