@@ -5,9 +5,9 @@
 ///                                                       {.model = AccelerometerModel::adxl375, .sample_rate = 800});
 ///
 /// The chip measures by itself at `sample_rate` and keeps up to 32 samples in a FIFO, which each tick of the sensor
-/// empties. Times, losses, settings that are lost: inertial.hpp. Both ADXL have the same identity, so the driver cannot
-/// tell which one it is; a wrong `model` gives wrong values. An LIS3DH measures in its mode of high resolution, 12
-/// bits; the first seven samples after it is switched on, in which it settles, are left out.
+/// empties. Times, losses, lost settings: inertial.hpp. Both ADXL have the same identity, so the driver cannot tell
+/// which one it is; a wrong `model` gives wrong values. An LIS3DH measures in its mode of high resolution, 12 bits; its
+/// first seven samples after power-on, while it settles, are discarded.
 ///
 /// Sources: Analog Devices ADXL345, data sheet rev. E: table 1 scale and self-test, "FIFO", register map (table 19);
 /// ADXL375, rev. B: table 1 scale, register map. STMicroelectronics LIS3DH, DocID17530 rev. 2: table 4 scale, "high

@@ -5,8 +5,8 @@
 ///                                                 {.model = BarometerModel::bmp280, .pressure_oversampling = 16});
 ///
 /// Each tick starts one measurement and reads it when the chip has had its time (7 ms, with 16-fold oversampling of
-/// both 76 ms; a BMP581: 5 and 17 ms); the bus is free for others meanwhile, and the event has the time of the start. An
-/// MS5611 measures its temperature after the pressure, for which it holds the bus (0.6 to 9 ms, as
+/// both 76 ms; a BMP581: 5 and 17 ms); the bus is free for others meanwhile, and the event has the time of the start.
+/// An MS5611 measures its temperature after the pressure, for which it holds the bus (0.6 to 9 ms, as
 /// `temperature_oversampling` says).
 ///
 /// The driver refuses a chip with another identity; an MS5611 has no identity and is checked by its checksum. It also
@@ -375,8 +375,8 @@ class Barometer {
     humidity_ = settings[2].count;
   }
 
-  /// The start-up time, of a BMP581 with the way to standby; for an MS5611 the temperature measurement, which follows the
-  /// pressure.
+  /// The start-up time, for a BMP581 with the time until standby; for an MS5611 the temperature measurement, which
+  /// follows the pressure.
   static Duration bus_time(const Config& config) {
     constexpr Duration start_up = std::chrono::milliseconds{3};
     if (models[static_cast<std::size_t>(config.model)].family == Family::bmp5) return 2 * start_up;

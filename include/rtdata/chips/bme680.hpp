@@ -3,15 +3,15 @@
 ///     rtdata::DriverSensor<rtdata::Bme680> air(loop, {.name = "air", .rate = 0.33_Hz}, bus, {.address = 0x76},
 ///                                              {.heater_temperature = 320, .heater_duration = 150ms});
 ///
-/// Each tick starts one measurement and reads it when the chip has had its time: some 20 ms, and `heater_duration`; the
-/// bus is free for others meanwhile, and the event has the time of the start. The gas sensor is heated to
-/// `heater_temperature` for that long; its resistance falls when there is more of volatile organic compounds. Bosch's
-/// index of air quality is not computed. While the heater has not reached its temperature the event has no
-/// `gas_resistance`, and the reading is counted as unreadable.
+/// Each tick starts one measurement and reads it when the chip has had its time: about 20 ms plus `heater_duration`;
+/// the bus is free for others meanwhile, and the event has the time of the start. The gas sensor is heated to
+/// `heater_temperature` for this time; its resistance falls when there are more volatile organic compounds. Bosch's air
+/// quality index is not computed. While the heater has not reached its temperature the event has no `gas_resistance`,
+/// and the reading is counted as unreadable.
 ///
-/// The driver refuses a chip with another identity, and trimming parameters that are all zeros or all ones; it tells a
-/// BME680 from a BME688 by itself. A reading is unreadable when the chip has lost its settings, or has skipped a
-/// measurement; the next tick sets it up again. Ranges: -40 to 85 degrees, 300 to 1100 hPa, 0 to 100 %.
+/// The driver refuses a chip with another identity, and trimming parameters that are all zeros or all ones; it detects
+/// by itself whether it is a BME680 or a BME688. A reading is unreadable when the chip has lost its settings, or has
+/// skipped a measurement; the next tick sets it up again. Ranges: -40 to 85 degrees, 300 to 1100 hPa, 0 to 100 %.
 ///
 /// Sources: Bosch BME680, BST-BME680-DS001: 3.3.1 to 3.3.3 compensation, 3.3.5 heater, 3.4.1 gas, 5.2, 5.3 registers;
 /// BME688, BST-BME688-DS000: 3.6.1 to 3.6.5 and 3.7.1, the same with another formula of the gas, 5.2 and 5.3 registers.

@@ -5,12 +5,12 @@
 ///                                           {.model = ImuModel::lsm6dso, .sample_rate = 416});
 ///
 /// The chip measures by itself at `sample_rate` and keeps its samples in a FIFO, which each tick of the sensor empties:
-/// at 50 Hz and 416 samples a second, some eight at a time. Times, losses, settings that are lost: inertial.hpp. When
-/// the FIFO of an MPU, ICM or LSM6DS3 overflows, the driver empties it, because it cannot tell where a sample begins;
-/// the other chips keep the newest samples.
+/// at 50 Hz and 416 samples a second, some eight at a time. Times, losses, lost settings: inertial.hpp. When the FIFO
+/// of an MPU, ICM or LSM6DS3 overflows, the driver empties it, because it cannot tell where a sample begins; the other
+/// chips keep the newest samples.
 ///
 /// The magnetometers of an MPU-9250 and an LSM9DS1 are separate chips (magnetometer.hpp); this driver connects the one
-/// of an MPU-9250 to the bus, and leaves that of an ICM-20948 alone. Axes are those in the data sheet. The driver
+/// of an MPU-9250 to the bus, and does not use the one of an ICM-20948. Axes are those in the data sheet. The driver
 /// refuses a chip with another identity.
 ///
 /// Sources: MPU-6050, register map RM-MPU-6000A-00 rev. 4.2: 4.4 to 4.6 settings, 4.14 to 4.34 FIFO, 4.17 to 4.19

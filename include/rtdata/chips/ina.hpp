@@ -158,7 +158,7 @@ class Ina {
     return *reading;
   }
 
-  /// Refuses a chip that Texas Instruments has not made. A clone, which the user trusts, may say whatever it likes.
+  /// Refuses a chip that Texas Instruments has not made. A clone that the user trusts may have any maker.
   static Result<void> check_maker(I2cDevice& chip, std::uint8_t maker_register, const KnownChip& known) {
     constexpr std::uint16_t texas_instruments = 0x5449;
     const Result<std::uint16_t> maker = chip.read_word(maker_register);

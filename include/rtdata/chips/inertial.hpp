@@ -113,7 +113,7 @@ struct InertialModel {
   double counts_per_degree = 1, degrees_at_zero = 0;
   InertialSelfTest self_test = {};
   RegisterAddressing addressing = {};
-  std::uint8_t bank_register = 0;  ///< bits 4 and 5 choose a bank, which is 0 but in `setting_up`; 0: there are none
+  std::uint8_t bank_register = 0;  ///< bits 4 and 5 choose a bank, which is 0 except in `setting_up`; 0: there are none
 };
 
 /// What a configuration has chosen; none: the default of the model.

@@ -4,11 +4,11 @@
 ///
 /// The chip measures by itself, every 5 s; a tick reads what is new. A tick before that is counted as repeated; no
 /// measurement for 15 s is an error. All words have a checksum: a reading with a wrong one is unreadable, and so is one
-/// of 0 ppm, by which the chip says that the sample is not valid. Ranges: 0 to 40000 ppm (specified: SCD40 400 to 2000,
-/// SCD41 to 5000), -45 to 130 degrees, 0 to 100 %.
+/// of 0 ppm, which means that the sample is not valid. Ranges: 0 to 40000 ppm (specified: SCD40 400 to 2000, SCD41 to
+/// 5000), -45 to 130 degrees, 0 to 100 %.
 ///
-/// The opening stops a measurement that goes on, for which the chip has 0.5 s and the driver holds the bus, reads the
-/// serial number, whose checksums tell another chip, and writes the altitude. Address: 0x62.
+/// Opening stops a running measurement (0.5 s, while the driver holds the bus), reads the serial number, whose
+/// checksums show whether it is another chip, and writes the altitude. Address: 0x62.
 ///
 /// Source: Sensirion SCD4x, data sheet V1.3 of September 2022: 3.4 commands and their times, 3.5 measurement, 3.6
 /// altitude, 3.8 data ready, 3.9 serial number.

@@ -4,18 +4,18 @@
 ///                                             {.temperature = 21, .humidity = 45});
 ///
 /// An SGP30 gives a CO2 equivalent and the sum of volatile organic compounds (TVOC), both from its own baseline, and
-/// the two raw signals that it makes them of. It needs one reading a second: `"rate": "1 Hz"`. For 15 s after each
-/// opening the chip gives fixed numbers in place of both; these events have the raw signals only. The baseline begins
-/// anew with each opening.
+/// the two raw signals from which it computes them. It needs one reading a second: `"rate": "1 Hz"`. For 15 s after
+/// each opening the chip gives fixed numbers in place of both; these events have the raw signals only. The baseline
+/// begins anew with each opening.
 ///
 /// An SGP40 gives its raw signal, which falls when there is more gas: it is proportional to the logarithm of a
-/// resistance, in steps without a unit. The temperature and humidity of the air, for which the chip corrects it, are
-/// set by hand; Sensirion's VOC index is not computed.
+/// resistance, in steps without a unit. The chip corrects it for the temperature and humidity of the air, which are
+/// settings; Sensirion's VOC index is not computed.
 ///
 /// Each tick starts the measurement and reads it when the chip has had its time (SGP30: 12 ms, then 25 ms; SGP40: 30
-/// ms); the bus is free for others meanwhile. All words have a checksum: a reading with a wrong one is unreadable. The
-/// opening reads the serial number, whose checksums tell another chip, and of an SGP30 the product type. Addresses:
-/// 0x58 (SGP30), 0x59 (SGP40).
+/// ms); the bus is free for others meanwhile. All words have a checksum: a reading with a wrong one is unreadable.
+/// Opening reads the serial number, whose checksums show whether it is another chip, and for an SGP30 the product type.
+/// Addresses: 0x58 (SGP30), 0x59 (SGP40).
 ///
 /// Sources: Sensirion SGP30, data sheet V1.0 of May 2020: "air quality signals", "sensor raw signals", "feature set",
 /// table 10 commands and times. SGP40, data sheet V1.0 of July 2020: tables 9 to 11 measurement; serial number.
@@ -43,7 +43,7 @@ namespace rtdata {
 struct Sgp30Reading {
   std::optional<double> co2_equivalent{};  ///< empty: the chip warms up
   std::optional<double> tvoc{};            ///< empty: the chip warms up
-  double hydrogen_signal = 0;              ///< steps; 512 less make e times the concentration
+  double hydrogen_signal = 0;              ///< steps; 512 less mean e times the concentration
   double ethanol_signal = 0;
   friend constexpr auto describe(type_tag<Sgp30Reading>) {
     return record("sgp30", field("co2_equivalent", &Sgp30Reading::co2_equivalent, "[ppm]"),

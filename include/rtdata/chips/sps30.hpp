@@ -7,8 +7,8 @@
 /// words have a checksum: a reading with a wrong one is unreadable, and so is one during which the chip reports that
 /// its laser or its fan fails (of firmware 2.2 and newer). Ranges: mass 0 to 1000 ug/m3, number 0 to 3000 /cm3.
 ///
-/// The opening reads the firmware's version, whose checksum tells another chip, and starts fan and laser, which stop
-/// when the sensor stops. Address: 0x69.
+/// Opening reads the version of the firmware, whose checksum shows whether it is another chip, and starts fan and
+/// laser, which stop when the sensor stops. Address: 0x69.
 ///
 /// Source: Sensirion SPS30, data sheet V1.0 of March 2020: 4.1 and 4.2 start and stop, 4.3 data ready, 4.4 values,
 /// "device status register", 6.1 and 6.2 commands and checksum.

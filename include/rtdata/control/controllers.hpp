@@ -1,6 +1,6 @@
 /// Hysteresis, Pid: controllers, for the keys `hysteresis` and `pid` of an output.
 ///
-/// Values without a loop; one thread at a time. They take no memory and throw nothing.
+/// Values without a loop; one thread at a time. They allocate no memory and throw nothing.
 #pragma once
 
 #include <algorithm>
@@ -15,8 +15,8 @@
 namespace rtdata {
 
 struct HysteresisConfig {
-  double on = 0;   ///< if greater than `off`: on from here up; if less: on from here down
-  double off = 0;  ///< off from here, in the other direction
+  double on = 0;   ///< switches on here: when rising if `on` > `off`, when falling if `on` < `off`
+  double off = 0;  ///< switches off here, in the other direction
 
   friend constexpr auto parameters(type_tag<HysteresisConfig>) {
     return parameter_list(
@@ -63,7 +63,7 @@ class Hysteresis {
 
 struct PidConfig {
   double setpoint = 0;
-  double kp = 0;  ///< output per unit of the measured value
+  double kp = 0;  ///< output for each unit of difference
   double ki = 0;  ///< the same, a second
   double kd = 0;  ///< output per unit a second
   double least = 0;
@@ -99,15 +99,15 @@ struct PidConfig {
 ///     output.set(pid.update(temperature, event.time()));
 ///
 /// output = kp * error + integral of (ki * error) - kd * rate of the measured value, with error = setpoint - measured,
-/// held between `least` and `most`. Gains are negative where more output makes the measured value less.
+/// held between `least` and `most`. Gains are negative if more output lowers the measured value.
 ///
-///   - The derivative is that of the measured value, so that a change of the set point gives it no kick, behind a low
-///     pass of first order with the time constant `derivative_filter`.
-///   - Anti-windup: while the output is at a limit, the integral takes in nothing that would push it further.
-///   - Bumpless, where there is an integral (`ki` is not 0): `set_gains` and `change` change nothing at that moment;
-///     `follow` says what the actuator really has (by hand, at its safe value), and the first `update` after it goes on
-///     from there. The integral takes up the difference. A controller without one would keep that difference for ever:
-///     its output is always what the formula says.
+///   - The derivative is that of the measured value, so that a change of the set point causes no jump. Before it is a
+///     first-order low-pass filter with the time constant `derivative_filter`.
+///   - Anti-windup: while the output is at a limit, the integral does not grow further in this direction.
+///   - Bumpless, if there is an integral (`ki` is not 0): `set_gains` and `change` change nothing at that moment;
+///     `follow` gives the real value of the actuator (set by hand, or its safe value), and the first `update` after it
+///     continues from there. The integral absorbs the difference. A controller without an integral would keep the
+///     difference for ever: its output always follows the formula.
 ///
 /// `time` gives the time between two updates, whatever the rate. A `time` not later than the last counts as no time
 /// passed; of updates closer than `one_instant`, the last one counts. The first update has no integral and no
@@ -173,7 +173,7 @@ class Pid {
     change(next);
   }
   /// Changes any settings, including the set point, at the next update, without a jump of the output. An output at a
-  /// limit leaves it as soon as the formula says so: the integral does not store the difference there.
+  /// limit leaves it as soon as the formula gives another value: the integral does not store the difference there.
   void change(const Config& next) noexcept {
     const double was = integral_;
     const bool is_held = output_ <= config_.least || output_ >= config_.most;

@@ -1,4 +1,4 @@
-/// I2cBus, I2cDevice: chips on an I2C adapter of the kernel (/dev/i2c-1), or on whatever stands in for one.
+/// I2cBus, I2cDevice: chips on an I2C adapter of the kernel (/dev/i2c-1), or on another transport.
 ///
 ///     rtdata::I2cBus bus({.device = "/dev/i2c-1"});
 ///     rtdata::I2cDevice chip = bus.device({.address = 0x76});
@@ -11,9 +11,9 @@
 /// Addresses have 7 bits, as on Linux: 0x08 to 0x77. If a data sheet gives 8 bits (0xec to write, 0xed to read), divide
 /// by two.
 ///
-/// Errors: disconnected (no chip acknowledges), timed-out (the adapter waited in vain: a line is held), busy (a driver
-/// of the kernel has the chip; or arbitration was lost), not-found, not-permitted (of the adapter), bad-argument (a
-/// transfer that the adapter cannot do), closed (of a job that was given up), io-failed.
+/// Errors: disconnected (no chip acknowledges), timed-out (the adapter could not get the bus: a line is held), busy (a
+/// driver of the kernel has the chip; or arbitration was lost), not-found, not-permitted (of the adapter), bad-argument
+/// (a transfer that the adapter does not support), closed (of a job that was given up), io-failed.
 ///
 /// Thread: I2cBus: any. I2cDevice: one at a time.
 #pragma once

@@ -31,7 +31,7 @@
 
 namespace rtdata {
 
-/// Where a chip is, and how it is talked to.
+/// Where a chip is, and how it is accessed.
 struct SpiPlace {
   unsigned chip_select = 0;
   unsigned mode = 0;           ///< 0 to 3: clock polarity times 2, plus phase
@@ -48,12 +48,12 @@ struct SpiPlace {
   }
 };
 
-/// A piece of a transfer during which the chip stays selected.
+/// A segment of a transfer during which the chip stays selected.
 struct SpiSegment {
   std::span<const std::uint8_t> write = {};  ///< empty: zeros are sent
   std::span<std::uint8_t> read = {};         ///< empty: received bytes are dropped; otherwise as long as `write`
-  Duration delay_after{0};                   ///< the chip's, before the next piece; to 65 ms
-  bool release_after = false;                ///< the chip select goes up before the next piece
+  Duration delay_after{0};                   ///< pause before the next segment; to 65 ms
+  bool release_after = false;                ///< the chip select goes up before the next segment
 };
 
 /// The transport: the kernel's controller, the fake for tests (fake_spi.hpp), or your own. Thread: the bus's lane;
@@ -98,7 +98,7 @@ class SpiDevice : public BusDevice {
   static constexpr std::size_t most_segments = 64;
 
   const SpiPlace& place() const noexcept { return place_; }
-  /// Sends and receives at once: as many bytes each, or one of them empty.
+  /// Sends and receives at the same time. Both spans have the same size, or one is empty.
   Result<void> transfer(std::span<const std::uint8_t> write, std::span<std::uint8_t> read);
   Result<void> write(std::span<const std::uint8_t> bytes) { return transfer(bytes, {}); }
   Result<void> read(std::span<std::uint8_t> bytes) { return transfer({}, bytes); }

@@ -16,7 +16,7 @@
 namespace rtdata {
 
 enum class MqttVersion {
-  newest,  ///< 5, or 3.1.1 if the broker has no other
+  newest,  ///< 5, or 3.1.1 if the broker does not support 5
   v5,
   v311,
 };

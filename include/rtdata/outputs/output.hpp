@@ -29,8 +29,8 @@
 /// asked, and how long it took. Arming, disarming and refusals are events too.
 ///
 /// The device is set on a lane, or in the guard, so a slow device does not hold the loop. While one value is being set,
-/// only the latest new value is kept; earlier ones are reported as superseded, or, if they come from a topic, counted
-/// as `filtered`. At its start and end, an output waits for the device.
+/// only the latest new value is kept; earlier ones are reported as replaced, or, if they come from a topic, counted as
+/// `filtered`. At its start and end, an output waits for the device.
 ///
 /// This is not a safety system: docs/outputs.md lists its limits.
 ///
@@ -61,7 +61,7 @@ struct OutputRange {
   double least = -std::numeric_limits<double>::infinity();
   double most = std::numeric_limits<double>::infinity();
   bool is_whole = false;  ///< whole numbers only; for a GPIO line: {0, 1, true}
-  /// Why it refuses this value, for people: "the device does not take 0.5: it takes 0 or 1". Empty: it takes the value.
+  /// Why it refuses this value, as a text: "0.5 is not a value for the device: 0 or 1". Empty: it accepts the value.
   std::string refusal(double value) const;
 };
 
@@ -124,16 +124,16 @@ struct OutputChange {
 enum class Arming : std::uint8_t { at_start, by_command };
 
 struct OutputConfig {
-  std::string name = {};                            ///< the origin of its events
-  std::string topic = {};                           ///< empty: as its name
-  double safe = 0;                                  ///< in the actuator's unit; of a line or a condition 1 is on, 0 off
-  std::string on = {};                              ///< the topic that it follows; empty: it is set by `set`
-  std::vector<std::string> with = {};               ///< other topics; their latest values are used
-  std::string expression = {};                      ///< gives its value; empty: the only number of the topic `on`
-  std::optional<HysteresisConfig> hysteresis = {};  ///< switches on or off by the value of the expression
-  std::optional<PidConfig> pid = {};                ///< controls the value of the expression
-  Duration max_age = std::chrono::seconds{5};       ///< without an event for longer, an input is stale
-  Duration lease{0};                                ///< a `set` is valid for this long; 0: until the next one
+  std::string name = {};               ///< the origin of its events
+  std::string topic = {};              ///< empty: its name
+  double safe = 0;                     ///< in the actuator's unit; for a line or a condition 1 is on, 0 off
+  std::string on = {};                 ///< the topic that it follows; empty: it is set by `set`
+  std::vector<std::string> with = {};  ///< other topics; their latest values are used
+  std::string expression = {};         ///< gives its value; empty: the only number of the topic `on`
+  std::optional<HysteresisConfig> hysteresis = {};     ///< switches on or off by the value of the expression
+  std::optional<PidConfig> pid = {};                   ///< controls the value of the expression
+  Duration max_age = std::chrono::seconds{5};          ///< without an event for longer, an input is stale
+  Duration lease{0};                                   ///< a `set` is valid for this long; 0: until the next one
   Duration watchdog = std::chrono::milliseconds{500};  ///< how long the guard waits for the loop
   Arming armed = Arming::at_start;
   bool required = false;  ///< a device that is missing or silent at the start throws

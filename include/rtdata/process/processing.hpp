@@ -59,7 +59,7 @@ struct Calibration {
   OutsideTable outside = OutsideTable::refuse;    ///< of a table
   std::optional<double> least = {};               ///< a value below it is unreadable; before the tare
   std::optional<double> most = {};                ///< a value above it is unreadable; before the tare
-  /// 2 to 1000 pairs of raw and true value, no raw value twice: the line through them, which goes on outside. Without
+  /// 2 to 1000 pairs of raw and true value, no raw value twice: the line through them, which continues outside. Without
   /// scale, offset, polynomial and table.
   std::vector<std::array<double, 2>> points = {};
   double tare = 0;  ///< subtracted from the calibrated value, in its unit
@@ -70,7 +70,7 @@ struct CalibrationLine {
   double slope = 0;
   double x = 0;
   double y = 0;
-  double largest = 0;        ///< residual: true value less that of the line, whichever is farthest from 0
+  double largest = 0;        ///< largest residual: true value minus that of the line
   std::size_t farthest = 0;  ///< the point with this residual
 
   double value(double raw) const noexcept { return (raw - x) * slope + y; }
@@ -79,15 +79,15 @@ struct CalibrationLine {
 /// Calibration refuses.
 CalibrationLine line_through(std::span<const std::array<double, 2>> points) noexcept;
 
-/// The value of a raw one; NaN: outside the table, which refuses it. Bounds are not looked at.
+/// The value of a raw one; NaN: outside the table, which refuses it. `least` and `most` are not checked.
 double calibrated(const Calibration& calibration, double raw) noexcept;
 
 enum class FilterType : std::uint8_t { median, mean, exponential, clamp, throttle, delta, rate_of_change };
 
 struct Filter {
   FilterType type = FilterType::median;
-  std::optional<unsigned> of = {};    ///< samples: of a median odd, 3 to 255; of a mean 2 to 1000
-  std::optional<double> weight = {};  ///< of the new value in an exponential one: above 0, up to 1
+  std::optional<unsigned> of = {};    ///< number of samples. median: odd, 3 to 255; mean: 2 to 1000
+  std::optional<double> weight = {};  ///< exponential: weight of the new value, above 0, up to 1
   std::optional<double> least = {};   ///< of a clamp
   std::optional<double> most = {};    ///< of a clamp
   std::optional<Duration> time = {};  ///< of a throttle
@@ -116,7 +116,7 @@ struct Filter {
 struct FieldProcessing {
   std::optional<Calibration> calibration = {};
   std::vector<Filter> filters = {};      ///< at most 8
-  std::optional<std::string> unit = {};  ///< UCUM, of the calibrated value; unset: as that of the raw one
+  std::optional<std::string> unit = {};  ///< UCUM, of the calibrated value; unset: the unit of the raw value
 };
 
 /// The configuration of calibrations and filters: the key `process` of every sensor.

@@ -1,4 +1,4 @@
-/// CommandSensor: a program of one's own whose lines are events: a Python script for a HAT, a tool that a maker ships.
+/// CommandSensor: a program of one's own whose lines are events: a Python script for a HAT, a tool of a manufacturer.
 ///
 ///     rtdata::CommandSensor weight(loop, {.name = "weight"},
 ///                                  {.run = {"python3", "hx711.py"},

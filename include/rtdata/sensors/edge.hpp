@@ -38,8 +38,8 @@ struct EdgeReading {
 struct EdgeConfig {
   GpioInput input = {};
   Duration silence{0};                                    ///< without an edge for longer, it has a gap; 0: no limit
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before trying a lost chip again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
+  Duration retry_first = std::chrono::milliseconds{100};  ///< first delay before trying a lost chip again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the delay doubles up to this
   bool required = false;                                  ///< a line that cannot be used at the start throws
   bool start = true;                                      ///< start when made
 

@@ -6,14 +6,14 @@
 /// At its rate it publishes
 /// - `count`: the kernel's counter, extended when it wraps around;
 /// - `position`: count * per_count, in `unit`;
-/// - `speed`: the change of position since the last reading, in `unit` a `per`; no value of the first reading;
-/// - `direction`: forward or backward, as the hardware saw it last; no value where the driver does not tell it.
+/// - `speed`: the change of position since the last reading, in `unit` a `per`; absent in the first reading;
+/// - `direction`: forward or backward, as the hardware saw it last; absent if the driver does not report it.
 ///
 /// The counter wraps around after `ceiling`, if the driver has that attribute; after 2^bits, if `bits` is set; and
 /// after 32 bits, if the kernel shows negative numbers of 32 bits, as interrupt-cnt does. Between two readings a
 /// counter in both directions may move by less than half of that range, an upward counter by less than the whole range:
-/// faster changes are not detected. If an upward counter without a known range goes back, somebody has set it: that
-/// reading fails, and the next one starts with the new count.
+/// faster changes are not detected. If an upward counter without a known range goes back, another program has set it:
+/// that reading fails, and the next one starts with the new count.
 ///
 /// The driver's `function` decides how many edges of a quadrature encoder count (one, two or four a period). If set
 /// here, it is written to the driver when the counter is opened; otherwise it does not change. `per_count` must match

@@ -18,9 +18,9 @@ namespace rtdata {
 
 struct FeedConfig {
   std::string name;         ///< unique in the runtime, and not of one that had a schedule; the origin of its events
-  std::string topic = {};   ///< empty: as the name
+  std::string topic = {};   ///< empty: the name
   Processing process = {};  ///< calibration and filters of its fields
-  Duration warm_up{0};      ///< samples so soon after its source was opened are filtered
+  Duration warm_up{0};      ///< samples in this time after opening are discarded (filtered)
 };
 
 constexpr auto parameters(type_tag<FeedConfig>) {

@@ -83,15 +83,16 @@ struct GpsFix {
 };
 
 struct GpsConfig {
-  std::string host = "localhost";                         ///< where gpsd runs: a name or an address
-  std::uint16_t port = 2947;                              ///< of gpsd
-  std::string device = {};                                ///< gpsd's name of the receiver; empty: any
-  Duration silence = std::chrono::seconds{10};            ///< without a fix report for longer: a gap; 0: no limit
-  Duration report_delay = std::chrono::seconds{1};        ///< longest delay of a report; 0: not a time source
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before the program connects to a lost gpsd again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
-  bool required = false;                                  ///< gpsd that does not answer at the start throws
-  bool start = true;                                      ///< start when made
+  std::string host = "localhost";                   ///< host name or IP address of the computer with gpsd
+  std::uint16_t port = 2947;                        ///< of gpsd
+  std::string device = {};                          ///< gpsd's name of the receiver; empty: any
+  Duration silence = std::chrono::seconds{10};      ///< without a fix report for longer: a gap; 0: no limit
+  Duration report_delay = std::chrono::seconds{1};  ///< longest delay of a report; 0: not a time source
+  Duration retry_first = std::chrono::milliseconds{
+      100};                                           ///< first delay before the program connects to a lost gpsd again
+  Duration retry_longest = std::chrono::seconds{10};  ///< the delay doubles up to this
+  bool required = false;                              ///< gpsd that does not answer at the start throws
+  bool start = true;                                  ///< start when made
 
   friend constexpr auto parameters(type_tag<GpsConfig>) {
     using namespace std::chrono_literals;

@@ -6,16 +6,16 @@
 ///                                         {.name = "temperature", .key = "temperature.tC", .unit = "Cel"}}});
 ///
 /// An answer is an object or array of JSON, from which `fields` take values by their keys ("sensors.0.t" reaches into
-/// arrays); or a line of CSV: the first one after `skip_lines` that is not empty and that `only` does not leave out;
-/// what follows it is not read; or rows of a label and a value. The time of the event is when the request began.
+/// arrays); or a line of CSV: the first one after `skip_lines` that is not empty and that `only` selects; the rest is
+/// not read; or rows of a label and a value. The time of the event is when the request began.
 ///
 /// - Only status 200 brings an event. Another status, no connection, no complete answer within `timeout` are failures,
 ///   after which the sensor asks as other sensors read again (sensor.hpp).
 /// - Redirections are not followed: the error says where they lead.
 /// - An answer that cannot be decoded, or longer than `max_answer`, is unreadable. No more of it is kept in memory.
-/// - An answer that `only` leaves out counts as filtered.
+/// - An answer that `only` does not select counts as filtered.
 /// - If the server marked its last answer with an ETag, the request says so. Its answer 304, nothing new, counts as
-///   repeated. With `method` post there is none of that.
+///   repeated. Not with `method` post.
 ///
 /// Sensors at one server (scheme, host, port) share a lane: small devices serve one request at a time. One that does
 /// not answer delays the others at this server, by up to `timeout`, and nothing else. The connection is kept. Stopping
@@ -52,11 +52,11 @@ struct HttpSensorConfig {
   std::string content_type = "application/json";
   LineFormat format = LineFormat::json;  ///< json, csv, labels or pattern
   std::vector<LineField> fields = {};
-  char separator = ',';      ///< CSV: between the columns; labels: between label and value; a blank: any number of them
-  unsigned skip_lines = 0;   ///< CSV: lines before the one that is read, such as a heading
-  std::string pattern = {};  ///< of `format` pattern, searched for in the whole answer
-  std::optional<LineMatch> only = {};           ///< answers, of CSV lines, that are meant
-  std::optional<LineMatch> unreadable_if = {};  ///< answers by which the device says that it has no value
+  char separator = ',';  ///< CSV: between the columns; labels: between label and value; a blank: any number of blanks
+  unsigned skip_lines = 0;                      ///< CSV: lines before the one that is read, such as a heading
+  std::string pattern = {};                     ///< of `format` pattern, searched for in the whole answer
+  std::optional<LineMatch> only = {};           ///< which answers (CSV: lines) become events
+  std::optional<LineMatch> unreadable_if = {};  ///< answers that mean that the device has no value
   std::size_t max_answer = 65536;               ///< bytes; a longer one is unreadable
   Duration timeout = std::chrono::seconds{5};   ///< from name lookup to the end of the answer
 

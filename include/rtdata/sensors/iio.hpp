@@ -58,17 +58,17 @@ struct IioConfig {
 };
 
 struct IioBufferConfig {
-  std::string device = {};                                ///< name, label, number, or path below /sys or /dev
-  std::vector<std::string> channels = {};                 ///< "accel_x", "voltage0-voltage1"
-  std::string trigger = {};                               ///< its name; empty: the device's own, or the present one
-  std::optional<Rate> rate = {};                          ///< set in trigger or device; unset: unchanged
-  std::size_t length = 512;                               ///< scans that the kernel's buffer holds
-  std::size_t watermark = 1;                              ///< scans at a time: more cost less, and come later
-  std::string root = {};                                  ///< put before /sys and /dev
-  Duration timeout = std::chrono::seconds{5};             ///< opening that takes longer is given up
-  Duration silence{0};                                    ///< silent for longer, it has a gap; 0: it may be silent
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
+  std::string device = {};                     ///< name, label, number, or path below /sys or /dev
+  std::vector<std::string> channels = {};      ///< "accel_x", "voltage0-voltage1"
+  std::string trigger = {};                    ///< its name; empty: the device's own, or the present one
+  std::optional<Rate> rate = {};               ///< set in trigger or device; unset: unchanged
+  std::size_t length = 512;                    ///< scans that the kernel's buffer holds
+  std::size_t watermark = 1;                   ///< scans read at a time: more need less time, but arrive later
+  std::string root = {};                       ///< put before /sys and /dev
+  Duration timeout = std::chrono::seconds{5};  ///< opening that takes longer is given up
+  Duration silence{0};                         ///< silent for longer, it has a gap; 0: it may be silent
+  Duration retry_first = std::chrono::milliseconds{100};  ///< first delay before a lost device is opened again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the delay doubles up to this
   bool required = false;                                  ///< a device that cannot be opened at the start throws
   bool start = true;                                      ///< start when made
 

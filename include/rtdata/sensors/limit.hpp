@@ -4,10 +4,10 @@
 ///                               {.on = "tank", .field = "pressure", .high = 5e5, .hysteresis = 1e4, .latched = true});
 ///     alarm.acknowledge();
 ///
-/// process/limits.hpp defines levels, alarms and acknowledgement. It publishes an event for the first value and for
-/// each change. An unknown value (the field is absent, the topic has no such number, no event for `silence`) is a level
-/// too; without events the sensor is also faulted, with a gap. `stop` publishes an unknown value, because nothing is
-/// watched then; closing the limit and the end of its run publish nothing.
+/// process/limits.hpp defines levels, alarms and acknowledgement. The sensor publishes an event for the first value and
+/// for each change. An unknown value (the field is absent, the topic has no such number, no event for `silence`) is a
+/// level too; without events the sensor is also faulted, with a gap. `stop` publishes an unknown value, because nothing
+/// is watched then; closing the limit and the end of its run publish nothing.
 ///
 /// Frequent changes are joined: after an event, changes within `join` are held back and counted, and the result is
 /// published when `join` is over. A worse alarm, or one on the other side, is published at once. So a value that

@@ -7,41 +7,39 @@
 ///   Blanks and double quotes around a column are removed; within quotes a separator belongs to the column and a quote
 ///   is written twice. JSON: one object or array a line, keys in any order, other keys ignored; "imu.ax" as a field's
 ///   `key` selects from nested objects, "emeters.0.power" from arrays, "values[type=P1].value" from the first object of
-///   an array whose member `type` is P1. A number may stand in quotes.
+///   an array whose member `type` is P1. A number may be in quotes.
 /// - An empty column (JSON: null, or no such key) makes an `optional` field absent and a text empty; for other fields
 ///   it is an error. Numbers are rounded to the nearest representable one: 1e-400 is 0. A bool is true, false, 1 or 0,
 ///   in upper or lower case. A byte order mark at the beginning is ignored.
-/// - Text around a number is taken off by a field's `prefix`, `suffix`, `decimal`, `thousands`, `base` and
-///   `sign_blanks`; `no_value` and `words` name texts that stand for no value, and for numbers. In JSON, such a field
-///   may be a text.
+/// - Text around a number is removed by a field's `prefix`, `suffix`, `decimal`, `thousands`, `base` and `sign_blanks`;
+///   `no_value` and `words` name texts that mean no value, or a number. In JSON, such a field may be a text.
 /// - `only` chooses lines by a column, a key or their text, frames by bytes at a place: others count as filtered,
 ///   unless their checksum is wrong. Lines that match `unreadable_if`, and those with a wrong `checksum`, are
 ///   unreadable.
 /// - A line ends with a newline, or with `line_end`; a carriage return before it is ignored. The sensor skips empty
 ///   lines, lines that begin with `comment`, and the first `skip_lines` lines after opening.
-/// - The bytes up to the first newline after opening may be half a line: they are discarded and counted
+/// - The bytes up to the first newline after opening may be an incomplete line: they are discarded and counted
 ///   (`SensorCounts::first_lines`), unless `first_line` is `keep` or no byte came for 100 ms after opening.
 /// - An unusable line (a missing column, not a number, out of its type's range, longer than `max_line`) is counted as
 ///   unreadable and reported; other lines are not affected.
 /// - `sequence_field` names an integer with which the device numbers its lines: a jump counts as lost, minus the
 ///   unusable lines in between; an equal number counts as repeated and is not published. A number that goes back is a
 ///   restart of the device, unless the field's type wraps around. A line whose number makes a jump is held until the
-///   next one, for `silence` or a second at most: when that takes the jump back, as after a wrong digit, the line is
-///   unreadable; else both are published with their own times.
+///   next one, for `silence` or a second at most: if that one continues the old sequence, as after a wrong digit, the
+///   line is unreadable; otherwise both are published with their own times.
 /// - `format` pattern: `pattern` is a regular expression of Perl's kind (PCRE2), searched for in the line; each of its
 ///   named groups is the text of the field with this name, or `key`: "T:(?<temp>[-0-9.]+)C". A group that takes part in
-///   no match is an empty column. Without a match the line is unreadable, and with a search that takes more than
-///   20 000 steps and 8 for each byte, too. `only` and `unreadable_if` may have a `pattern` as well.
+///   no match is an empty column. The line is unreadable without a match, or if the search takes more than 20 000 steps
+///   plus 8 for each byte. `only` and `unreadable_if` may have a `pattern` as well.
 /// - `device_time` names the field that is the device's clock. The time of an event is then the device's, shifted by
-///   the shortest way that a line has taken from the device to the read, and never later than the read. A clock that
-///   wraps around goes on; one that goes back, or differs by more than before (a second ahead, a minute behind), has
-///   started again.
+///   the shortest delay of a line between device and read so far, and never later than the read. A clock that wraps
+///   around continues; a clock that goes back, or suddenly differs (a second ahead, a minute behind), has restarted.
 /// - With `frame`, events are frames of bytes instead of lines, of CSV or JSON, of rows with labels (`format` labels: a
 ///   field's `key` is the label, `column` counts what follows), or of binary fields by their place (`format` binary:
-///   `at`, `wire`, `bytes`, `bit`, `mask`, `bcd`). With `stuffing`, what a frame held before its sender stuffed it is
-///   decoded, without its marks. A `pattern` may be of bytes, too ("\\x07\\x01(?<energy>.{8})"): the group of a field
-///   that has a `wire` is bytes. Bytes outside of frames are unreadable, once for each stretch of them. After an
-///   unusable frame the next start is looked for within it, up to 16 times.
+///   `at`, `wire`, `bytes`, `bit`, `mask`, `bcd`). With `stuffing`, frames are unescaped before they are decoded. A
+///   `pattern` may be of bytes, too ("\\x07\\x01(?<energy>.{8})"): the group of a field that has a `wire` is bytes.
+///   Bytes outside of frames are unreadable, once for each stretch of them. After an unusable frame the next start is
+///   searched inside it, up to 16 times.
 /// - Without a byte for longer than `silence` the sensor is degraded until a good line comes, with a gap (silent).
 /// - Without a line end for max(4 KiB, `max_line`), for example at the wrong speed, the sensor is degraded, and this
 ///   counts as one unreadable line.
@@ -80,24 +78,24 @@ struct LineField {
   Kind type = Kind::f64;       ///< any but enumeration and record
   std::string unit = {};       ///< UCUM
   double scale = 1;            ///< a float or double is multiplied by it
-  std::string key = {};        ///< JSON: where it is in the object, levels separated by dots; empty: as the name
-  std::size_t length = 32;     ///< of a text: the most bytes it may have
+  std::string key = {};        ///< JSON: path of the value, with dots between levels; empty: the name
+  std::size_t length = 32;     ///< of a text: the most bytes that it may have
   bool optional = false;       ///< an empty column, null or a missing key makes the field absent; otherwise an error
-  std::string prefix = {};     ///< what a value begins with, such as "T="; without it the line is unreadable
-  std::string suffix = {};     ///< what it ends with, such as " kg"
+  std::string prefix = {};     ///< text before the value, such as "T="; without it the line is unreadable
+  std::string suffix = {};     ///< text after the value, such as " kg"
   char decimal = '.';          ///< the decimal mark: a point or a comma
-  std::string thousands = {};  ///< one character that may stand between digits; empty: none
+  std::string thousands = {};  ///< one character that is allowed between digits; empty: none
   unsigned base = 10;          ///< of whole numbers, 2 to 16: 16 reads "0x1f" and "1F", and as int16 "FFFF" as -1
-  bool sign_blanks = false;    ///< blanks may stand between sign and digits: "-  12.5"
-  std::size_t column = 1;      ///< labels: which of the columns after the label
-  std::optional<std::size_t> at = {};        ///< binary: the first byte in the frame, from 0
-  std::optional<Kind> wire = {};             ///< binary: the type in the frame; empty: as `type`; pattern: of bytes
-  std::size_t bytes = 0;                     ///< binary: how many of them, of a whole number; 0: as `wire` has
-  std::optional<unsigned> bit = {};          ///< of these: the only bit that is meant, 0 is the lowest
-  std::optional<std::uint64_t> mask = {};    ///< of these: the bits that are meant, moved down to bit 0
-  bool bcd = false;                          ///< of these: each byte is two decimal digits
-  std::vector<std::string> no_value = {};    ///< texts or numbers that stand for no value; makes the field optional
-  std::map<std::string, double> words = {};  ///< words that stand for numbers, which are not scaled
+  bool sign_blanks = false;    ///< blanks are allowed between sign and digits: "-  12.5"
+  std::size_t column = 1;      ///< labels: number of the column after the label
+  std::optional<std::size_t> at = {};      ///< binary: position of the first byte in the frame, from 0
+  std::optional<Kind> wire = {};           ///< binary: the type in the frame; pattern: of the raw bytes; empty: `type`
+  std::size_t bytes = 0;                   ///< binary: number of bytes of a whole number; 0: as many as `wire` has
+  std::optional<unsigned> bit = {};        ///< binary: the value is this bit, 0 is the lowest
+  std::optional<std::uint64_t> mask = {};  ///< binary: the value is these bits, moved down to bit 0
+  bool bcd = false;                        ///< binary: each byte is two decimal digits
+  std::vector<std::string> no_value = {};  ///< texts or numbers that mean no value; makes the field optional
+  std::map<std::string, double> words = {};  ///< words that mean numbers, which are not scaled
 
   friend constexpr auto parameters(type_tag<LineField>) {
     return parameter_list(
@@ -166,16 +164,16 @@ constexpr auto describe(type_tag<WireOrder>) {
   return enumeration("byte_order", value("little", WireOrder::little), value("big", WireOrder::big));
 }
 
-/// Chooses lines by what stands in them.
+/// Chooses lines by their content.
 struct LineMatch {
-  unsigned column = 0;                   ///< CSV: in this column, from 1; 0: in the whole line
-  std::string key = {};                  ///< JSON: in the value there; labels: in the first column after this label
-  std::vector<std::string> is = {};      ///< one of these texts is all of it
-  std::string begins = {};               ///< it begins with this
-  std::string contains = {};             ///< this is in it
-  std::string pattern = {};              ///< this regular expression (PCRE2) is found in it
-  std::size_t at = 0;                    ///< binary: from this byte of the frame on, from 0
-  std::vector<std::string> is_hex = {};  ///< binary: there stand these bytes, or these
+  unsigned column = 0;                   ///< CSV: number of the column, from 1; 0: the whole line
+  std::string key = {};                  ///< JSON: path of the value; labels: the first column after this label
+  std::vector<std::string> is = {};      ///< the whole text is one of these
+  std::string begins = {};               ///< the text begins with this
+  std::string contains = {};             ///< the text contains this
+  std::string pattern = {};              ///< this regular expression (PCRE2) matches in the text
+  std::size_t at = 0;                    ///< binary: position of the first byte to compare, from 0
+  std::vector<std::string> is_hex = {};  ///< binary: the bytes there are one of these
 
   friend constexpr auto parameters(type_tag<LineMatch>) {
     return parameter_list(
@@ -239,19 +237,19 @@ constexpr auto describe(type_tag<ChecksumOf>) {
   return enumeration("of", value("all", ChecksumOf::all), value("row", ChecksumOf::row));
 }
 
-/// How a line or a frame is protected. It stands at the end, or behind the last `after`.
+/// The checksum of a line or a frame. It is at the end, or after the last `after`.
 struct LineChecksum {
   ChecksumType type = ChecksumType::xor8;
   ChecksumForm form = ChecksumForm::hex;     ///< hexadecimal digits; bytes, the high one first or last; a character
-  std::string after = {};                    ///< what stands before it, such as "*"; empty: nothing
-  bool covers_after = false;                 ///< it covers `after`, too
-  std::size_t from = 0;                      ///< bytes at the beginning that it does not cover
-  std::size_t before = 0;                    ///< bytes before it (and `after`) that it does not cover
-  std::size_t behind = 0;                    ///< bytes of the frame that follow it
-  Complement complement = Complement::none;  ///< of a sum: each bit turned over (ones), or its negative (twos)
-  std::string append_hex = {};               ///< bytes that it also covers, behind the others, and that are not sent
-  bool optional = false;                     ///< a line without `after` has none
-  ChecksumOf of = ChecksumOf::all;           ///< labels: each row has its own
+  std::string after = {};                    ///< text before the checksum, such as "*"; empty: none
+  bool covers_after = false;                 ///< it also covers `after`
+  std::size_t from = 0;                      ///< number of bytes at the beginning that it does not cover
+  std::size_t before = 0;                    ///< number of bytes before it (and `after`) that it does not cover
+  std::size_t behind = 0;                    ///< number of bytes of the frame after it
+  Complement complement = Complement::none;  ///< sum8, sum16: all bits inverted (ones), or the negative (twos)
+  std::string append_hex = {};               ///< bytes that it also covers, after the others, and that are not sent
+  bool optional = false;                     ///< a line without `after` has no checksum
+  ChecksumOf of = ChecksumOf::all;           ///< labels: each row has a checksum
 
   friend constexpr auto parameters(type_tag<LineChecksum>) {
     return parameter_list(
@@ -275,17 +273,17 @@ struct LineChecksum {
   }
 };
 
-/// What one event is in a stream of bytes that are not lines. A frame has a start or an end, or both, or a start and a
-/// length. What is between frames is thrown away; but for ends of lines it is counted as unreadable.
+/// How frames are found in a stream of bytes that are not lines. A frame has a start or an end, or both, or a start and
+/// a length. Bytes between frames are discarded and, except line ends, counted as unreadable.
 struct LineFrame {
   std::string start = {}, start_hex = {};  ///< text or bytes that it begins with
   std::string end = {}, end_hex = {};      ///< and ends with
-  std::size_t after_end = 0;               ///< bytes behind `end` that belong to it, such as a checksum
-  std::size_t length = 0;                  ///< of all of it, in bytes; 0: not always the same
-  std::size_t length_at = 0;               ///< where it says how long it is; 0: it does not
+  std::size_t after_end = 0;               ///< number of bytes after `end` that belong to it, such as a checksum
+  std::size_t length = 0;                  ///< length of the whole frame in bytes; 0: not always the same
+  std::size_t length_at = 0;               ///< position of the length in the frame; 0: it has none
   std::size_t length_bytes = 1;
-  std::size_t length_adds = 0;         ///< bytes of it that its length does not count
-  Stuffing stuffing = Stuffing::none;  ///< else it needs nothing of the above
+  std::size_t length_adds = 0;         ///< number of its bytes that the length does not count
+  Stuffing stuffing = Stuffing::none;  ///< if set, the settings above are not used
   WireOrder byte_order = WireOrder::big;
 
   friend constexpr auto parameters(type_tag<LineFrame>) {
@@ -311,7 +309,7 @@ struct LineFrame {
 /// The clock of a device: a field counts in steps of `step` and wraps around as its type does.
 struct DeviceTime {
   std::string field = {};                        ///< an integer, or a double, which never wraps
-  Duration step = std::chrono::milliseconds{1};  ///< what one more in the field is
+  Duration step = std::chrono::milliseconds{1};  ///< time of one count
 
   friend constexpr auto parameters(type_tag<DeviceTime>) {
     using namespace std::chrono_literals;
@@ -327,20 +325,20 @@ struct LineConfig {
   std::vector<LineField> fields = {};
   char separator = ',';                 ///< between the columns of CSV; a blank stands for any number of blanks
   std::string pattern = {};             ///< of `format` pattern: a regular expression with a named group for each field
-  std::string comment = "#";            ///< lines that begin with it are skipped; empty: none
+  std::string comment = "#";            ///< lines that begin with this text are skipped; empty: none
   char line_end = '\n';                 ///< what ends a line; without a newline some devices send a carriage return
   std::optional<LineFrame> frame = {};  ///< events are frames of bytes, not lines
-  std::optional<LineMatch> only = {};   ///< the lines that are meant; others count as filtered
-  std::optional<LineMatch> unreadable_if = {};  ///< lines by which the device says that it has no value
+  std::optional<LineMatch> only = {};   ///< which lines become events; others count as filtered
+  std::optional<LineMatch> unreadable_if = {};  ///< lines that mean that the device has no value
   std::optional<LineChecksum> checksum = {};
   unsigned skip_lines = 0;  ///< lines skipped after each opening, such as a heading
   FirstLine first_line = FirstLine::discard;
   std::size_t max_line = 4096;                            ///< bytes; a longer line is unreadable
   std::string sequence_field = {};                        ///< the field that numbers the lines; empty: none
-  std::optional<DeviceTime> device_time = {};             ///< events have the device's times; none: of the reads
+  std::optional<DeviceTime> device_time = {};             ///< events have the device's times; unset: those of the reads
   Duration silence{0};                                    ///< without a line for longer, it has a gap; 0: no limit
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
+  Duration retry_first = std::chrono::milliseconds{100};  ///< first delay before a lost device is opened again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the delay doubles up to this
   bool start = true;                                      ///< start when made
 
   friend constexpr auto parameters(type_tag<LineConfig>) {
@@ -389,8 +387,7 @@ Result<std::shared_ptr<const Description>> line_description(const std::vector<Li
 /// The description of the events: from the fields, or of a fix. Errors: as `line_description`.
 Result<std::shared_ptr<const Description>> description_of_lines(const LineConfig& config);
 
-/// Checks that `fields` and `sequence_field` go together, and that `separator` and `comment`
-/// are none of what columns hold.
+/// Checks that `fields` and `sequence_field` fit together, and that `separator` and `comment` cannot occur in columns.
 void check_config(const LineConfig& config, const ConfigItem& item, Problems& problems);
 /// How long the longest read takes: 1 KiB of short lines.
 ReadTime read_time(const LineConfig& config);

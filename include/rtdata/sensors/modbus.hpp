@@ -6,7 +6,7 @@
 ///                     {.name = "energy", .address = 10, .type = Kind::f32, .unit = "kW.h"}}});
 ///
 /// - Each tick reads all fields: consecutive ones in one request, others in separate requests; with `gap`, a request
-///   may include that many unused registers between two fields. No request has more than `most_registers`, and none
+///   may include this many unused registers between two fields. No request has more than `most_registers`, and none
 ///   ends within a field. If a request fails, the reading fails.
 /// - Numbers are assembled in `word_order`, by default high word and high byte first ("abcd"), of the sensor or of the
 ///   field. An order with the low byte of a register first also applies to numbers of one register and to texts.
@@ -56,11 +56,11 @@ struct ModbusField {
   double scale = 1;
   double offset = 0;                             ///< added after scaling
   std::string unit = {};                         ///< UCUM
-  std::vector<double> no_value = {};             ///< the raw numbers for a missing value
-  std::optional<WordOrder> word_order = {};      ///< unset: the sensor's
-  std::optional<unsigned> registers = {};        ///< of a text: how many it has
-  std::optional<unsigned> bit = {};              ///< the only bit to publish, 0 is the lowest
-  std::optional<std::uint64_t> mask = {};        ///< the bits to publish; unset: all
+  std::vector<double> no_value = {};             ///< raw numbers that mean no value
+  std::optional<WordOrder> word_order = {};      ///< unset: `word_order` of the sensor
+  std::optional<unsigned> registers = {};        ///< number of registers of a text
+  std::optional<unsigned> bit = {};              ///< publishes only this bit, 0 is the lowest
+  std::optional<std::uint64_t> mask = {};        ///< publishes these bits; unset: all
   std::optional<std::uint16_t> scale_from = {};  ///< address of the register with its power of ten
 
   friend constexpr auto parameters(type_tag<ModbusField>) {

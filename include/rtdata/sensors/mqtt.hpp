@@ -9,8 +9,8 @@
 /// Each message becomes one event with the configured fields; its time is the time of the read.
 ///
 /// - A message is an object of JSON, keys in any order, others ignored, "imu.ax" as a `key` for levels; or a line of
-///   CSV, which a number alone is, too. The key "$topic" stands for the topic that the message came on, "$retained" for
-///   whether the broker had kept it from before.
+///   CSV; a number alone is one, too. The key "$topic" is the topic of the message, "$retained" whether it is a
+///   retained message.
 /// - An unusable message (not JSON, a missing field, not a number, out of its type's range, longer than `max_message`)
 ///   is counted as unreadable and reported; other messages are not affected.
 /// - Retained messages have an unknown time: unless `retained` is "take" they give no event; if the broker sends them
@@ -53,16 +53,17 @@ struct MqttSensorConfig {
   std::vector<LineField> fields = {};
   char separator = ',';                         ///< between the columns of CSV
   std::string pattern = {};                     ///< of `format` pattern (lines.hpp)
-  std::optional<LineMatch> only = {};           ///< the messages that are meant; others count as filtered
-  std::optional<LineMatch> unreadable_if = {};  ///< messages by which the device says that it has no value
+  std::optional<LineMatch> only = {};           ///< which messages become events; others count as filtered
+  std::optional<LineMatch> unreadable_if = {};  ///< messages that mean that the device has no value
   std::size_t max_message = 65536;              ///< bytes; a longer one is unreadable
   MqttRetained retained = MqttRetained::skip;
   Duration session{0};         ///< how long the broker keeps messages for this sensor; 0: not at all
   std::string stored_by = {};  ///< name of a sink of this loop: acknowledge after it has stored the event
   Duration silence{0};         ///< without a message for longer, it has a gap; 0: no limit
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before the program connects to a lost broker again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
-  bool start = true;                                      ///< start when made
+  Duration retry_first = std::chrono::milliseconds{
+      100};  ///< first delay before the program connects to a lost broker again
+  Duration retry_longest = std::chrono::seconds{10};  ///< the delay doubles up to this
+  bool start = true;                                  ///< start when made
 
   friend constexpr auto parameters(type_tag<MqttSensorConfig>) {
     using namespace std::chrono_literals;

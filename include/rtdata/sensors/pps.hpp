@@ -34,7 +34,7 @@ namespace rtdata {
 struct PpsPulse {
   std::uint32_t count = 0;              ///< the kernel's number of it
   std::optional<double> interval = {};  ///< since the previous pulse, if that was read
-  double clock_error = 0;               ///< the machine's clock minus the nearest whole second
+  double clock_error = 0;               ///< the computer's clock minus the nearest full second
   friend constexpr auto describe(type_tag<PpsPulse>) {
     return record("pps", field("count", &PpsPulse::count), field("interval", &PpsPulse::interval, "s"),
                   field("clock_error", &PpsPulse::clock_error, "s"));
@@ -53,9 +53,9 @@ struct PpsConfig {
   Duration accuracy = std::chrono::microseconds{50};      ///< of the kernel's time; 0: not a time source
   Duration silence = std::chrono::seconds{3};             ///< silent for longer, it has a gap; 0: it may be silent
   std::string root = {};                                  ///< prefix of /sys, such as a container's mount of the host
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost source is opened again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
-  bool required = false;                                  ///< a source that is not there at the start throws
+  Duration retry_first = std::chrono::milliseconds{100};  ///< first delay before a lost source is opened again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the delay doubles up to this
+  bool required = false;                                  ///< a source that is missing at the start throws
   bool start = true;                                      ///< start when made
 
   friend constexpr auto parameters(type_tag<PpsConfig>) {
@@ -88,7 +88,8 @@ ReadTime read_time(const PpsConfig& config);
 class PpsSensor : public AnySensor {
  public:
   PpsSensor() noexcept = default;
-  /// SetupError: as `Feed`; bad-argument for a device that is no name; the error of a required one that is not there.
+  /// SetupError: as `Feed`; bad-argument for a device that is not a name; the error of a required source that is
+  /// missing.
   PpsSensor(Loop& loop, FeedConfig feed, PpsConfig config);
 
  private:

@@ -11,12 +11,12 @@
 /// - No complete answer within the port's `answer_timeout` is a failure; an answer that cannot be decoded is
 ///   unreadable.
 /// - With `frame` the answer is a frame of bytes (lines.hpp), such as binary fields at their places (`format` binary);
-///   with its `length` alone, so many bytes.
+///   with only a `length`, this number of bytes.
 /// - `at_open` is sent after each opening of the port, to set the device up. The answer of a text with a `?` in it,
-///   such as "*OPC?\n", is awaited and dropped, so that it is not taken for the first reading's; with
-///   `at_open_answers`, that of each text.
-/// - `prepare` is sent before each request, such as what starts a measurement; the line that answers it is awaited and
-///   dropped, that of `prepare_hex` as a frame if there is one. Then `prepare_wait` goes by.
+///   such as "*OPC?\n", is awaited and discarded, so that it is not mistaken for the answer of the first reading; with
+///   `at_open_answers`, the answer of each text.
+/// - `prepare` is sent before each request, such as a command that starts a measurement; its answer is awaited and
+///   discarded: a line, or for `prepare_hex` a frame if `frame` is set. Then the driver waits for `prepare_wait`.
 /// - `skip_lines`: lines before each answer, for devices that echo what they are asked.
 ///
 /// Driver (driver.hpp): used on the port's lane.
@@ -52,11 +52,11 @@ class Query {
     std::string request = {};                   ///< including its line end
     std::string request_hex = {};               ///< instead of `request`: bytes, as hexadecimal digits
     std::vector<std::string> at_open = {};      ///< sent after each opening of the port, in order
-    std::vector<std::string> at_open_hex = {};  ///< behind them: bytes
+    std::vector<std::string> at_open_hex = {};  ///< bytes, sent after them
     bool at_open_answers = false;               ///< the device answers each of them, not only those with a `?`
     std::vector<std::string> prepare = {};      ///< sent before each request, in order; each is answered
-    std::vector<std::string> prepare_hex = {};  ///< behind them: bytes
-    Duration prepare_wait{0};                   ///< behind their answers, for the device to measure
+    std::vector<std::string> prepare_hex = {};  ///< bytes, sent after them
+    Duration prepare_wait{0};                   ///< wait after their answers, while the device measures
     char answer_end = '\n';                     ///< a carriage return before it is ignored
     unsigned skip_lines = 0;                    ///< before the answer
     LineFormat format = LineFormat::csv;
@@ -64,7 +64,7 @@ class Query {
     char separator = ',';                 ///< between the columns of CSV; a blank stands for any number of blanks
     std::string pattern = {};             ///< of `format` pattern
     std::optional<LineFrame> frame = {};  ///< the answer is a frame of bytes, not a line
-    std::optional<LineMatch> unreadable_if = {};  ///< answers by which the device says that it has no value
+    std::optional<LineMatch> unreadable_if = {};  ///< answers that mean that the device has no value
     std::optional<LineChecksum> checksum = {};
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
@@ -112,7 +112,7 @@ class Query {
     return line_description(config.fields);
   }
   static constexpr std::size_t longest_answer = 4096;
-  /// How long it holds the bus beside its transfers.
+  /// How long it holds the bus in addition to its transfers.
   static Duration bus_time(const Config& config) { return config.prepare_wait; }
 
   /// SetupError (bad-argument, bad-description): a configuration that cannot work.

@@ -89,19 +89,19 @@ enum class OnOverrun : std::uint8_t {
 
 struct SensorConfig {
   std::string name;        ///< unique in the runtime; the origin of its events
-  std::string topic = {};  ///< empty: as the name
+  std::string topic = {};  ///< empty: the name
   Rate rate = {};          ///< ticks a second, up to 1 MHz
   Duration phase{0};       ///< added to the start of its schedule; a negative one: within the first period
   std::optional<Duration> late_after = {};  ///< unset: the larger of 1 ms and 10 % of the period
   std::optional<Duration> read_time = {};   ///< longest time on the loop or lane; unset: as the device declares
   unsigned faulted_after = 3;               ///< failures in a row that make it faulted
-  Duration retry_first = std::chrono::milliseconds{100};  ///< delay before a faulted device is opened again
+  Duration retry_first = std::chrono::milliseconds{100};  ///< first delay before a faulted device is opened again
   Duration retry_longest = std::chrono::seconds{30};      ///< the delay doubles up to this
   OnOverrun on_overrun = OnOverrun::warn;                 ///< when its read holds the loop longer than its limit
   bool required = false;    ///< a device that cannot be opened at the start throws instead of being retried
   bool start = true;        ///< start when made
   Processing process = {};  ///< calibration and filters of its fields
-  Duration warm_up{0};      ///< samples so soon after its device was opened are filtered
+  Duration warm_up{0};      ///< samples in this time after opening are discarded (filtered)
 };
 
 /// The configuration keys that all sensors have.

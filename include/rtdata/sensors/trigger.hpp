@@ -18,7 +18,7 @@
 /// the age `before`, that event is removed anyway; the sensor is then degraded and reports how far back the ring
 /// reaches. Many events are published in parts of 500, one part each millisecond.
 ///
-/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Takes no memory once it is made.
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Allocates no memory after construction.
 #pragma once
 
 #include <cstdint>
@@ -71,7 +71,7 @@ class TriggerSensor : public AnySensor {
  public:
   TriggerSensor() noexcept = default;
   /// SetupError: as `Feed`; ExpressionError; not-found (there is no topic `on` yet); bad-description (its payload has
-  /// none); bad-argument for a configuration that cannot work; io-failed (no memory for the ring).
+  /// no description); bad-argument for a configuration that cannot work; io-failed (no memory for the ring).
   TriggerSensor(Loop& loop, FeedConfig feed, TriggerConfig config);
 
  private:

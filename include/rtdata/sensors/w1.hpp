@@ -33,7 +33,7 @@ struct W1Temperature {
 };
 
 struct W1Config {
-  std::string device = {};                     ///< "28-000000c0ffee"; empty: the only one that there is
+  std::string device = {};                     ///< "28-000000c0ffee"; empty: the only one
   std::string root = {};                       ///< prefix of /sys, such as the host's root folder in a container
   Duration timeout = std::chrono::seconds{3};  ///< a read that takes longer is given up
 
