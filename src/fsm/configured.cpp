@@ -17,7 +17,7 @@ struct ConfiguredMachine::Core {
   Core(const Core&) = delete;
   Core& operator=(const Core&) = delete;
 
-  /// Of an input, beside its events.
+  /// The state of an input, in addition to its events.
   struct Age {
     bool has_come = false;
     bool is_silence_reported = false;
@@ -260,7 +260,7 @@ void ConfiguredMachine::Core::arrived(std::size_t index) {
 
 void ConfiguredMachine::Core::act() {
   if (!sync) return acted_on(arrivals);
-  if (syncing != 0) return;  // the last one follows
+  if (syncing != 0) return;  // the handler is called for the last change
   syncing = arrivals;
   patience.start(settings.resume->wait);
   sync([weak = self, number = syncing] {

@@ -8,7 +8,7 @@
 ///        {"from": "flying", "to": "landed", "after": "20 min"}]}
 ///
 /// It is an fsm::Machine (machine.hpp) whose transitions are tried with each event of its inputs. Names in `when` are
-/// FIELD, of the first of the inputs, TOPIC.FIELD, and TOPIC of one with a single number, as of derived topics
+/// FIELD (of the first of the inputs), TOPIC.FIELD, and TOPIC for a topic with a single number, as for derived topics
 /// (docs/expressions.md). A value older than `max_age` counts as missing: expressions with it wait, and a condition
 /// that waits or fails is false. Conditions of the current state evaluate each event of the inputs; their memories
 /// (`highest(x)`, `mean(x, 2)` ...) restart when the machine arrives in the state. Use a derived topic for memory over

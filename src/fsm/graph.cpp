@@ -43,7 +43,7 @@ std::string quoted(const std::string& text, std::string_view quote) {
   return result += '"';
 }
 
-/// In a diagram of Mermaid a label ends at a line's end, and a colon, a semicolon and a number sign have a meaning.
+/// In a Mermaid diagram, a label ends at the end of the line; colon, semicolon and number sign have a special meaning.
 std::string mermaid_label(const std::string& text) {
   std::string result;
   for (const char c : text) {

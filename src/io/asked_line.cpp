@@ -79,7 +79,7 @@ Result<void> AskedLine::drop_echo(Partner& partner, std::span<const std::uint8_t
   };
   std::array<std::uint8_t, 512> bytes{};
   while (!sent.empty()) {
-    // No more than the echo: the answer may follow at once.
+    // Reads only the echo: the answer may follow at once.
     const auto got = read(partner, std::span(bytes).first(std::min(bytes.size(), sent.size())), until);
     if (!got) return got.error();
     if (*got == 0)

@@ -57,7 +57,7 @@ std::string chips_listed(const std::vector<GpioChipInfo>& chips) {
   return text;
 }
 
-/// None: it is no number.
+/// Empty: it is not a number.
 std::optional<unsigned> number_of(std::string_view text) {
   unsigned number = 0;
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);

@@ -80,7 +80,7 @@ class GpioEdgesNode final : public Node {
     Call call(*this);
     take_some(has_hung_up);
   }
-  /// False: there were no more, or it has ended.
+  /// False: there were no more edges, or it has ended.
   bool take_some(bool has_hung_up) {
     std::array<GpioRawEdge, most_read> edges;
     const int got = request_->read(edges);

@@ -60,7 +60,7 @@ std::optional<detail::IdentityRefusal> detail::identity_refusal(const KnownChip&
   const std::string usual = "that of " + name + " is " + identity_text(identity.value);
   if (!word) {
     refusal.why += ", " + usual;
-    // What registers read without a chip is no clone.
+    // Values that registers read without a chip are not a clone.
     if (found != 0 && !is_all_ones(identity, found))
       refusal.clone = "; if it is a clone that you trust, set `identity` to " + text;
   } else {

@@ -57,7 +57,7 @@ Result<IioStorage> parse_iio_storage(std::string_view text) {
     return refused("it does not say how many bits there are");
   if (take(text, "X") && !take_number(text, storage.repeat))
     return refused("it does not say how many values there are");
-  // Old kernels leave the shift out.
+  // Old kernels omit the shift.
   if (take(text, ">>") && !take_number(text, storage.shift)) return refused("it does not say by how much to shift");
   if (!text.empty()) return refused("something follows");
   const unsigned room = storage.storage_bits;

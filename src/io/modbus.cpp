@@ -34,7 +34,7 @@ namespace {
 constexpr const char* cannot_ask = "cannot read the device";
 constexpr unsigned last_unit = 255;
 
-/// Why a bus cannot be made of it; empty: it can.
+/// Why a bus cannot be made from it; empty: it can.
 struct Mistake {
   const char* key = "";
   std::string why = {};
@@ -83,7 +83,7 @@ void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& 
   problems.add((at != nullptr ? *at : item).problem("bad-value", mistake.why));
 }
 
-/// A function, and what belongs to it.
+/// A function code and its data.
 class ModbusDevice::Request {
  public:
   Request(std::uint8_t function, std::uint16_t first, std::size_t number) {
@@ -127,7 +127,7 @@ struct ModbusDevice::Core {
   };
   using Use = std::shared_ptr<Connection>;
 
-  /// `line`: of RTU; null: a connection.
+  /// `line`: for RTU; null: a TCP connection.
   Core(std::string bus_, ModbusConfig config_, std::shared_ptr<SerialTransport> line)
       : bus(std::move(bus_)), config(std::move(config_)) {
     if (line != nullptr) {
@@ -173,7 +173,7 @@ struct ModbusDevice::Core {
   const std::string bus;
   const ModbusConfig config;
   std::optional<detail::ModbusRtu> rtu;
-  std::mutex mutex;  // of what follows; not while it connects or asks
+  std::mutex mutex;  // protects the members below; not held while it connects or asks
   Use connection;
 };
 
@@ -286,7 +286,7 @@ Result<void> ModbusDevice::ask_by_tcp(const Request& request, Take&& take) {
   }
 }
 
-/// `take` gets the answer: its function and what belongs to that.
+/// `take` gets the answer: the function code and its data.
 template <class Take>
 Result<void> ModbusDevice::ask(const Request& request, Take&& take) {
   if (is_abandoned()) return error(Errc::closed, cannot_ask, "this reading was given up before");

@@ -30,7 +30,7 @@ int milliseconds(Duration left) {
 
 constexpr const char* cannot_connect = "cannot connect";
 
-/// What is said of each sort of line.
+/// The texts for each kind of line.
 struct LineWords {
   const char *cannot_write, *cannot_open, *hangs, *hangs_advice, *lost, *gone, *advice;
 };
@@ -49,7 +49,7 @@ const LineWords& words_of(StreamLine::Kind::Sort sort) noexcept {
   return words_of_lines[static_cast<std::size_t>(sort)];
 }
 
-/// The programs that are asked, by the descriptor of their terminal.
+/// The programs that answer, by the descriptor of their terminal.
 class AskedPrograms {
  public:
   void kill_all() noexcept {

@@ -140,7 +140,7 @@ std::string first_line_of(std::string_view body) {
   while (!body.empty() && line.size() < longest) {
     const char c = body.front();
     if (c == '\n' || c == '\r') {
-      if (!line.empty()) break;  // those that begin with empty lines have one to say too
+      if (!line.empty()) break;  // skips empty lines at the beginning
       body.remove_prefix(1);
       continue;
     }
@@ -157,7 +157,7 @@ std::string first_line_of(std::string_view body) {
 HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const std::string& proxy_origin) {
   HttpJudgement judgement{HttpVerdict::later, {Errc::disconnected, what, origin, failure.text, ""}, {}};
   Error& error = judgement.why;
-  const std::string& first = proxy_origin.empty() ? origin : proxy_origin;  // with whom the connection is
+  const std::string& first = proxy_origin.empty() ? origin : proxy_origin;  // the peer of the connection
   const auto say = [&](Errc code, std::string why, std::string advice) {
     error.code = code;
     if (!why.empty()) error.why = std::move(why);
@@ -194,7 +194,7 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
       break;
     case CURLE_PEER_FAILED_VERIFICATION: {
       error.code = Errc::not_permitted;
-      // What libcurl has compared itself, the name, only its text tells.
+      // libcurl compares the name itself: only its text shows that this failed.
       long verified = failure.verify_result;
       for (const auto& [text, code] :
            {std::pair{"self-signed", 18L}, std::pair{"self signed", 18L}, std::pair{"does not match", 62L},

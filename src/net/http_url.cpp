@@ -22,7 +22,7 @@ std::optional<std::string> part_of(CURLU* url, CURLUPart part, unsigned flags = 
   return std::string(text);
 }
 
-/// Of RFC 9110: what the name of a header is made of.
+/// The characters of a header name (RFC 9110).
 bool is_token(const std::string& text) {
   return !text.empty() && std::all_of(text.begin(), text.end(), [](unsigned char c) {
     return (c < 0x80 && std::isalnum(c) != 0) ||
@@ -30,7 +30,7 @@ bool is_token(const std::string& text) {
   });
 }
 
-/// Why a header of this name is not the user's to set; empty: it is.
+/// Why the user cannot set a header with this name; empty: the user can.
 std::string owner_of(const std::string& name) {
   static constexpr struct {
     const char* name;

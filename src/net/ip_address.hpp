@@ -1,4 +1,4 @@
-// Addresses of IP written as numbers.
+// IP addresses written as numbers.
 #pragma once
 
 #include <arpa/inet.h>
@@ -49,12 +49,12 @@ inline std::optional<IpAddress> ip_address(const std::string& text, std::uint16_
   return address;
 }
 
-/// A setting of an address that cannot work.
+/// An address setting that cannot work.
 struct AddressMistake {
   const char* key;
   std::string why;
 };
-/// `key`: of the address of this machine. `from`: of the only sender; empty: all.
+/// `key`: parameter of this computer's address. `from`: address of the only sender; empty: all.
 inline std::optional<AddressMistake> mistake_in_addresses(const char* key, const std::string& own,
                                                           const std::string& from) {
   const auto address = ip_address(own, 0);

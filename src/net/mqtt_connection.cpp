@@ -87,7 +87,7 @@ void initialize_tls() {
   if (listening >= 0) ::close(listening);
 }
 
-/// The peer has closed it, or reset it, and nothing of it is unread.
+/// True if the peer has closed or reset it and all data was read.
 bool has_ended(int socket) noexcept {
   char byte = 0;
   const ssize_t got = ::recv(socket, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
@@ -150,7 +150,7 @@ int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptio
   if (is_v5 && options.most_received != 0)
     mosquitto_int_option(handle, MOSQ_OPT_RECEIVE_MAXIMUM, options.most_received);
   mosquitto_int_option(handle, MOSQ_OPT_TCP_NODELAY, 1);
-  // As for programs with threads, the library then queues its packets, and writes them when it is told to only.
+  // As for programs with threads, the library then queues its packets, and writes them only when it is told to.
   mosquitto_threaded_set(handle, true);
   client.longest_message = options.longest_message.value_or(0);
   client.inlet = std::make_unique<MqttInlet>(
@@ -245,7 +245,7 @@ std::string topic_of_both(std::string_view one, std::string_view other) {
     // What begins with a wildcard does not match the broker's own topics.
     if (is_first && ((a.starts_with('$') && is_wildcard(b)) || (b.starts_with('$') && is_wildcard(a)))) return "";
     if (a != b && !is_wildcard(a) && !is_wildcard(b)) return "";
-    if (a == "#" || b == "#") {  // the rest of the other one is below it
+    if (a == "#" || b == "#") {  // the rest of the other filter is below it
       const std::string_view level = a == "#" ? b : a;
       const std::string_view rest = a == "#" ? other : one;
       topic += (is_first ? "" : "/") + std::string(is_wildcard(level) ? "x" : level);
@@ -270,7 +270,7 @@ std::string refusal_of(int answer, bool is_v5) {
   return is_v5 ? mosquitto_reason_string(answer) : mosquitto_connack_string(answer);
 }
 
-/// On a lane. The rest is done on the loop.
+/// Runs on a lane; everything else on the loop.
 class MqttConnecting final : public LaneJob {
  public:
   MqttConnecting(const MqttBroker& broker, const MqttOptions& options, bool is_v5,
@@ -401,7 +401,7 @@ int MqttConnection::call_library(std::size_t& left) {
   if (status == MOSQ_ERR_SUCCESS && is_readable_ && may_read()) {
     bool is_empty = true;
     status = client_->inlet->read(*client_, fd_, left, is_empty);
-    is_readable_ = status == MOSQ_ERR_SUCCESS && !is_empty;  // else the watch tells
+    is_readable_ = status == MOSQ_ERR_SUCCESS && !is_empty;  // otherwise the watch reports it
   }
   // The library does not report a connection that is reset during the TLS handshake.
   const bool is_shaking_hands = broker_.tls && !is_connected_ && !client_->answer;

@@ -13,7 +13,8 @@
 namespace rtdata {
 namespace {
 
-constexpr off_t most_looked_at = off_t{1} << 20;  // authorities of a whole system have comments before the first
+constexpr off_t most_looked_at = off_t{1}
+                                 << 20;  // the file with all authorities of a system has comments before the first
 
 /// Why the file cannot be used; empty: it can.
 std::string obstacle(const std::string& path) {

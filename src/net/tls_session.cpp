@@ -38,7 +38,7 @@ namespace {
 
 constexpr std::size_t most_written = 16384;  // bytes of a TLS record
 
-/// What OpenSSL says of the last failure, the first cause of it; empties its queue.
+/// OpenSSL's text for the last failure, from its first cause; empties its error queue.
 std::string last_reason() {
   const unsigned long code = ERR_get_error();
   ERR_clear_error();
@@ -100,7 +100,7 @@ Result<std::shared_ptr<const TlsContext>> TlsContext::load(const TlsConfig& conf
   }
   if (!config.certificate.empty()) {
     constexpr const char* advice = "check the files `tls.certificate` and `tls.key`, and `tls.key_password`";
-    SSL_CTX_set_default_passwd_cb(context, password_of);  // else OpenSSL asks at the terminal
+    SSL_CTX_set_default_passwd_cb(context, password_of);  // otherwise OpenSSL asks at the terminal
     SSL_CTX_set_default_passwd_cb_userdata(context, const_cast<TlsConfig*>(&config));
     if (SSL_CTX_use_certificate_chain_file(context, config.certificate.c_str()) != 1)
       return refuse(config.certificate, advice);

@@ -18,7 +18,7 @@ namespace {
 constexpr const char* cannot_set_command = "cannot set the value by the program";
 constexpr std::size_t longest_errors = 4096;
 
-/// Reads what is there, so that the program is not held back, and keeps the end of it.
+/// Reads the available output, so that the program is not blocked, and keeps its end.
 void read_printed(int fd, std::string& kept) {
   std::array<char, 4096> bytes;
   for (int i = 0; i < 64; ++i) {

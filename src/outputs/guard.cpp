@@ -156,7 +156,7 @@ void OutputGuard::Link::await_end(Loop& loop, const std::string& output, int its
   };
   try {
     ending->watch = FdWatch(loop, its_socket, FdWatch::readable, output, receive);
-  } catch (...) {  // the loop ends, too: the guard finds the socket closed
+  } catch (...) {  // the loop ends, too: the guard sees that the socket is closed
     endings.erase(ending);
     throw;
   }

@@ -47,7 +47,7 @@ std::vector<detail::HttpMistake> mistakes_of(const HttpActuatorConfig& config) {
 
 }  // namespace
 
-/// Shared with the thread that does it, which may outlive the actuator.
+/// Shared with the thread of the request, which may outlive the actuator.
 struct HttpActuator::Request {
   explicit Request(HttpActuatorConfig its_config) : config(std::move(its_config)) {}
   Request(const Request&) = delete;
@@ -110,7 +110,7 @@ struct HttpActuator::Request {
                                                               : detail::parse_http_url(config.server.proxy).or_throw();
     detail::HttpJudgement judgement = detail::judge(detail::failure_of(easy, status, error), url.origin, proxy.origin);
     if (status == CURLE_OPERATION_TIMEDOUT) judgement.why.why = "it did not answer within " + to_string(config.timeout);
-    // Whatever came in between: it may be there the next time.
+    // A temporary failure: the server may be reachable the next time.
     const bool is_away = judgement.verdict == detail::HttpVerdict::later && judgement.why.code != Errc::not_permitted;
     return Error{is_away ? Errc::disconnected : judgement.why.code, cannot_set_http, judgement.why.where,
                  detail::hidden(std::move(judgement.why.why), secrets), judgement.why.advice};
@@ -124,7 +124,7 @@ struct HttpActuator::Request {
   detail::HttpText answered;
   char error[CURL_ERROR_SIZE] = "";
 
-  std::mutex mutex;  // of what follows
+  std::mutex mutex;  // protects the members below
   std::condition_variable done;
   bool is_done = false;
   CURLcode status = CURLE_OK;

@@ -22,7 +22,7 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_set_mqtt = "cannot set by MQTT";
-constexpr int longest_wait_ms = 100;  // for something to come
+constexpr int longest_wait_ms = 100;  // for waiting for data
 constexpr Duration between_attempts = std::chrono::milliseconds{200};
 constexpr Duration goodbye_limit = std::chrono::milliseconds{300};
 
@@ -115,7 +115,7 @@ struct MqttActuator::Link {
     is_lost = true;
     changed.notify_all();
   }
-  /// Has the library do what there is to do, and waits a little for that. The status is the library's.
+  /// Lets the library do its work, and waits a little for it. The status is the library's.
   int turn(detail::MqttClient& client, int socket) {
     const auto wants_write = [&] { return mosquitto_want_write(client.handle); };
     pollfd fds[2] = {{socket, static_cast<short>(POLLIN | (wants_write() ? POLLOUT : 0)), 0}, {wake, POLLIN, 0}};
@@ -197,7 +197,7 @@ struct MqttActuator::Link {
   const int wake = ::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);  // from waiting for the broker
   std::thread thread;                                         // the actuator's
 
-  std::mutex mutex;  // of what follows
+  std::mutex mutex;  // protects the members below
   std::condition_variable changed;
   mosquitto* handle = nullptr;  // while it is connected
   Trouble trouble;              // the last one

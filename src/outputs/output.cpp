@@ -108,7 +108,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       record(order, {}, given_back);
       return refusal(Errc::busy, given_back, "set it again after the reload");
     }
-    if (state_ == State::failed) {  // while its safe value is on its way, the order follows that
+    if (state_ == State::failed) {  // while its safe value is being set, the order waits for it
       record(order, {}, "the device has failed");
       return refusal(
           Errc::io_failed, "the device has failed",
@@ -224,7 +224,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     OutputCause cause = OutputCause::start;
     text<48> by = {};
     MonotonicTime asked{};
-    bool is_repeat = false;  // of the value that is on its way: it is only needed when the device does not take that
+    bool is_repeat = false;  // repeats the value that is being set: needed only if the device does not accept that value
   };
 
   /// The state of its device.
@@ -238,17 +238,17 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
         {false, false, false, false},  // stopped
         {true,  true,  false, false},  // taking: the device is being opened while the loop turns
         {true,  false, false, false},  // ready
-        {true,  true,  false, false},  // busy: a value is on its way
+        {true,  true,  false, false},  // busy: a value is being set
         {true,  false, true,  false},  // failed: the safe value is tried repeatedly
         {true,  true,  true,  false},  // mending: the safe value is being set
-        {false, false, false, true},   // ending: `finish` was called, and is not over
-        {false, false, false, true},   // left: it is over
+        {false, false, false, true},   // ending: `finish` was called, and is not complete
+        {false, false, false, true},   // left: `finish` is complete
     };
     // clang-format on
     return all[static_cast<std::size_t>(state)];
   }
   Standing is() const noexcept { return standing(state_); }
-  /// Of a device that is held, and was taken.
+  /// For a device that is held and was opened.
   void be(bool busy, bool failing) noexcept {
     if (!is().held || state_ == State::taking) return;
     state_ = failing ? (busy ? State::mending : State::failed) : (busy ? State::busy : State::ready);
@@ -318,7 +318,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     stale_.start(config_.max_age);
   }
 
-  /// The device is taken while the loop turns, as a value that is on its way.
+  /// The device is opened while the loop turns, like a value that is being set.
   void begin_taking() {
     beat();
     state_ = State::taking;
@@ -375,7 +375,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void stop_watching() noexcept {
     if (std::exchange(is_watched_, false)) port_->disarm();
   }
-  /// Nothing is asked for any more.
+  /// Drops all requested values.
   void end_orders(State next) {
     const State was = std::exchange(state_, next);
     for (Timer* timer : {&stale_, &lease_, &retry_, &patience_, &turning_}) timer->stop();
@@ -407,7 +407,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     for (Callback<void()>& done : std::exchange(ended_, {})) loop()->post(std::move(done));
   }
 
-  /// Asks for the value, or notes that there is nothing to do.
+  /// Requests the value, or records that there is nothing to do.
   void request(const Order& order) {
     const bool is_asked = order.cause == OutputCause::set || order.cause == OutputCause::input;
     const double last = next_ ? next_->value : is().busy ? busy_.value : value_.value_or(std::nan(""));
@@ -478,7 +478,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const bool was_failing = is().failing;
     be(false, true);
     if (!was_failing) complain(error, Health::faulted);
-    // Its handler may have stopped it, and started it again.
+    // Its handler may have stopped and restarted it.
     const bool goes_on = is_open() && is().failing;
     if (goes_on && !was_failing && (waiting || busy_.value != config_.safe)) {
       set_safe(OutputCause::failure, "");
@@ -487,8 +487,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     }
     if (waiting) follow_failure(*waiting);
   }
-  /// What was asked for while a value was on its way that failed: it is set after the safe value, if the device takes
-  /// that at once.
+  /// A value requested while another one was being set that failed: it is set after the safe value, if the device
+  /// accepts that at once.
   void follow_failure(Order order) {
     if (!is().busy || next_ || !is_armed_) return record(order, {}, "the device failed");
     order.is_repeat = order.value == busy_.value;
@@ -518,7 +518,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   // ---- The guard
 
-  /// A guard that has ended takes nothing: the program keeps the output safe, as in `lost`, and does not arm it again.
+  /// A guard that has ended accepts no output: the program keeps the output safe, as in `lost`, and does not arm it
+  /// again.
   void take_guard(Loop& loop, OutputGuard& guard, const std::string& guarded) {
     try {
       port_ = make_guard_port(loop, name(), guard, guarded, config_.safe, *this);
@@ -544,8 +545,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     port_->beat(now + config_.watchdog);
     look_at_guard();
   }
-  /// It looks at the beat once in a watchdog's time at least, while the output is not safe. After a pause of the beats
-  /// it may have made the output safe, and looks no more.
+  /// While the output is not safe, the guard checks the beat at least once in the watchdog time. After a pause of the
+  /// beats it may have made the output safe, and then checks no more.
   void look_at_guard() {
     const std::optional<MonotonicTime> seen = port_->guard_seen();
     const bool is_silent = is().held && !is().busy && value_ && *value_ != config_.safe && seen &&
@@ -566,7 +567,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it is disarmed");
     if (input_) input_->follow(config_.safe);
     report_trip(done);
-    // The device may have taken it since: asking is how that is known.
+    // The device may have accepted the value since; setting it again shows this.
     if (is_open() && state_ == State::failed) set_safe(OutputCause::failure, "");
   }
   void vanished(const Error& error) override {
@@ -577,7 +578,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (input_) input_->follow(config_.safe);
     record({config_.safe, OutputCause::failure, {}, now()}, {}, error.why);
     complain(placed(error), Health::faulted);
-    // A value that is on its way takes the device anew; what comes of that is answered.
+    // A value that is being set opens the device again; its result is answered.
     if (is_open() && state_ == State::failed) set_safe(OutputCause::failure, "");
   }
   void report_trip(const Result<void>& done) {
@@ -678,7 +679,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     complain({code, "the output is being set to its safe value", name(), why, std::move(advice)},
              worst(Health::degraded));
   }
-  /// Nothing is set, and so nothing to set again.
+  /// Ends the lease, because no value is set.
   void end_lease() {
     lease_.stop();
     is_overdue_ = false;
@@ -695,7 +696,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
              worst(Health::degraded));
   }
 
-  // ---- What is told
+  // ---- Reports
 
   Health worst(Health health) const { return health_now() == Health::faulted ? Health::faulted : health; }
   Health health_now() const {
@@ -737,19 +738,19 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   std::vector<Subscription> subscriptions_;
   std::unique_ptr<OutputPort> port_;
   std::optional<double> value_;  // the value that the device has
-  Order busy_;                   // on its way, if there is one
+  Order busy_;                   // the value that is being set, if any
   std::optional<Order> next_;
   Order stop_order_;
   std::vector<Callback<void(Result<void>)>> when_taken_;
-  Result<void> taken_;                     // an error: it could not be taken
-  std::vector<Callback<void()>> ended_;    // when what `finish` began is over
+  Result<void> taken_;                     // an error: the device could not be opened
+  std::vector<Callback<void()>> ended_;    // called when `finish` is complete
   std::vector<Callback<void()>> waiting_;  // for an event that says whether it is armed
   MonotonicTime last_set_{}, last_input_{}, last_beat_{}, turning_since_{}, sent_{};
   const LoopCore* hanging_ = nullptr;  // on which it depends
   State state_ = State::stopped;
   bool is_over_ = false;     // the program ends
-  bool is_watched_ = false;  // the guard knows that it is armed
-  bool is_patient_ = false;  // the output begins, whatever its device says
+  bool is_watched_ = false;  // the guard was told that it is armed
+  bool is_patient_ = false;  // the output starts, whatever its device answers
   bool is_armed_ = false;
   bool published_armed_ = false;  // by the last event
   bool is_stale_ = false;
@@ -786,8 +787,8 @@ Output::Output(Loop& loop, OutputConfig config, MakeActuator make, std::string g
 
 namespace {
 
-/// On its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed. The function owns what
-/// it uses.
+/// Calls the function on the thread of the output's loop, which for a tier may differ from this one. `otherwise`: the
+/// result if it is closed. The function must own what it uses.
 template <class Returned, class Function>
 Returned with(detail::Node* node, Returned otherwise, Function function) {
   if (node == nullptr || !node->is_open()) return otherwise;
@@ -799,7 +800,7 @@ Returned with(detail::Node* node, Returned otherwise, Function function) {
       });
 }
 
-/// For what answers with an error.
+/// For calls that return an error.
 template <class Function>
 Result<void> ordered(detail::Node* node, Function function) {
   try {
@@ -809,7 +810,7 @@ Result<void> ordered(detail::Node* node, Function function) {
     return error.error();
   }
 }
-/// By somebody, whose name the other thread is given to keep; here it is used as it is, without memory.
+/// The same with the name of the caller: another thread gets a copy; on this thread it is used without allocation.
 template <class Function>
 Result<void> ordered_by(detail::Node* node, std::string_view by, const char* what, Function function) {
   const auto order = [what, function](detail::OutputNode& output, std::string_view who) {
@@ -820,7 +821,7 @@ Result<void> ordered_by(detail::Node* node, std::string_view by, const char* wha
     return ordered(node, [order, by = std::string(by)](detail::OutputNode& output) { return order(output, by); });
   return ordered(node, [order, by](detail::OutputNode& output) { return order(output, by); });
 }
-/// For what cannot be refused. `unknown`: when its loop does not turn.
+/// For calls that cannot be refused. `unknown`: the result if its loop does not turn.
 template <class Returned, class Function>
 Returned asked(detail::Node* node, Returned otherwise, Returned unknown, const Function& function) noexcept {
   try {

@@ -126,7 +126,7 @@ Result<void> SerialActuator::open(std::optional<double> value) {
   if (!opened) return opened.error();
   fd_ = *opened;
   if (!config_.host.empty() && !answer_.empty() && wait_for(fd_, POLLIN, std::chrono::steady_clock::now() + greeting)) {
-    do drop_input(fd_);  // what it says at first is no answer
+    do drop_input(fd_);  // the first data is not an answer
     while (wait_for(fd_, POLLIN, std::min(until, std::chrono::steady_clock::now() + stillness)));
   }
   return value ? set(*value) : Result<void>();
@@ -179,7 +179,7 @@ Result<void> SerialActuator::set(double value) {
 }
 
 Result<void> SerialActuator::check() {
-  pollfd one{fd_, POLLRDHUP, 0};  // that it was hung up is told without being asked for
+  pollfd one{fd_, POLLRDHUP, 0};  // a hang-up is always reported
   if (::poll(&one, 1, 0) <= 0) return {};
   return gone();
 }

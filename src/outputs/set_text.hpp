@@ -1,4 +1,4 @@
-// Values as texts, for devices that are set by one.
+// Values as texts, for devices that are set by a text.
 #pragma once
 
 #include <array>
@@ -12,7 +12,7 @@
 
 namespace rtdata::detail {
 
-/// As short as it is exact: 1, 0.5.
+/// The shortest exact text: 1, 0.5.
 inline std::string number_text(double value) {
   std::array<char, 32> text;
   return {text.data(), std::to_chars(text.data(), text.data() + text.size(), value).ptr};

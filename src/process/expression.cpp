@@ -53,7 +53,7 @@ ExpressionTree tree_of(std::string_view text, const std::vector<std::string>& na
   return tree;
 }
 
-/// Beside those of ExpressionFailure.
+/// In addition to those of ExpressionFailure.
 constexpr auto waiting = static_cast<Failure>(0xFF);
 
 /// The result of evaluating a part. `at`: for a waiting or non-finite name, its index in the values; for another
@@ -103,7 +103,7 @@ Failure failure_of(int flags, double value) noexcept {
 }  // namespace
 
 struct Expression::Program {
-  /// One of arithmetic: between values, whose place is known.
+  /// An arithmetic step between values whose places are known.
   struct Instruction {
     detail::ExpressionOp op = {};
     detail::Compute compute = nullptr;
@@ -118,7 +118,7 @@ struct Expression::Program {
     std::uint32_t column = 1;
     std::uint32_t division_column = 0;
   };
-  /// A step that gives a value, or a reason for none, at every event.
+  /// A step that gives a value, or the reason for its absence, at every event.
   struct Step {
     enum class Type : std::uint8_t { formula, memory, logical_not, logical_and, logical_or, choice };
     Type type = Type::formula;
@@ -245,7 +245,7 @@ struct Expression::Program {
         return;
       case Type::logical_and:
       case Type::logical_or: {
-        const bool decides = step.type == Type::logical_or;  // such a side decides alone
+        const bool decides = step.type == Type::logical_or;  // such a side decides the result
         const Got &left = values[step.a], &right = values[step.b];
         for (const Got* side : {&left, &right})
           if (side->is_value() && (side->value != 0) == decides) return set_truth(got, decides);
@@ -573,7 +573,7 @@ class Expression::Compiler {
     return formula;
   }
 
-  /// The place of what it computes.
+  /// The place of its result.
   std::uint32_t write(std::size_t at, Constants constants, Program::Formula& formula) {
     const Node& node = tree_.nodes[at];
     if (node.type == Type::number || (constants == Constants::computed && is_constant(at))) return compile(at);

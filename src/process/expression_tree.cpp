@@ -456,7 +456,7 @@ class Parser {
       fail_at(called_at, "`" + word + "` takes " + wanted + ", not " + std::to_string(given));
     };
     if (function != functions.end()) {
-      if (given == 1 && function->most == any_number)  // who writes so thinks of former values
+      if (given == 1 && function->most == any_number)  // the writer probably means earlier values
         fail_at(called_at, "`" + word + "` needs several values of one event; for one value over time use `highest`, " +
                                "`lowest`, `mean` or `integral`");
       if (given < function->least || given > function->most)

@@ -97,7 +97,7 @@ Processor::Processor(std::shared_ptr<const Description> source, const Processing
 void Processor::plan_copies() {
   for (std::size_t i = 0; i < source_->leaves().size(); ++i) {
     const Leaf& from = source_->leaves()[i];
-    const Leaf& to = published_->leaves()[i];  // added ones are behind those of the source
+    const Leaf& to = published_->leaves()[i];  // added fields come after those of the source
     if (from.kind == to.kind) add_copy(from, to);
   }
 }
@@ -521,7 +521,7 @@ void Processor::take_means(std::size_t lanes, Op& op) noexcept {
     x[i] = (is_across ? since[i] + sums[op.at * lanes + i] : since[i]) / op.filled;
 }
 
-/// Since the instant before, whose last value stands for it.
+/// Since the previous instant, which is represented by its last value.
 bool Processor::put_rates(const Group& group, Op& op) noexcept {
   double* const last = numbers_.data() + op.first;
   double* const before = last + group.count;
