@@ -224,7 +224,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     OutputCause cause = OutputCause::start;
     text<48> by = {};
     MonotonicTime asked{};
-    bool is_repeat = false;  // repeats the value that is being set: needed only if the device does not accept that value
+    bool is_repeat = false;  // repeats the value that is being set: used only if the device does not accept it
   };
 
   /// The state of its device.

@@ -86,7 +86,7 @@ void SensorNode::started(const Result<void>& opened) {
   if (opened) begin_warm_up();
   begin_schedule();  // before a handler runs, which may stop it
   if (opened) {
-    set_health(Health::ok, nullptr);  // what it was before it stopped is over
+    set_health(Health::ok, nullptr);  // the state before the stop has ended
   } else {
     extra().failures = settings().faulted_after - 1;
     failed(opened.error(), loop()->now());
@@ -347,7 +347,7 @@ void SensorNode::count_failed(const SamplePort& port, const Error& error, const 
 
 void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& tick) {
   count_failed(port, error, tick);
-  failed(error, tick.now);  // only now, since the handler may stop the sensor
+  failed(error, tick.now);  // only now, because the handler may stop the sensor
 }
 
 void SensorNode::recovered() {
@@ -357,7 +357,7 @@ void SensorNode::recovered() {
 }
 
 void SensorNode::complain(const Error& error) {
-  forget_failures();  // those before it are no row any more
+  forget_failures();  // earlier ones are no longer consecutive
   report(error);
   if (is_open()) set_health(Health::degraded, &error);
 }

@@ -106,7 +106,7 @@ void SourceNode::begin_warm_up() noexcept {
 
 bool SourceNode::is_warming_up(Time time) noexcept {
   const MonotonicTime now = loop()->now();
-  // A device that keeps its samples gives them later. Its own clock may be wrong by any amount.
+  // A device that stores its samples delivers them later. Its own clock may be wrong by any amount.
   const Time until = loop()->runtime.event_time(warm_until_);
   if (now < warm_until_ || (time < until && span_between(time, until) <= warm_up_)) return true;
   if (now - warm_until_ > warm_up_) warm_until_ = MonotonicTime::min();
@@ -127,9 +127,9 @@ void SourceNode::report(const Error& error) noexcept {
       Call call(*this);
       loop()->call_user(object, [&] { on_demand_->on_error({object, error, 1}); });
     } else {
-      origin_.topic.runtime().report(nullptr, object_name(), error);  // also of one that user code has closed meanwhile
+      origin_.topic.runtime().report(nullptr, object_name(), error);  // also if user code has closed it meanwhile
     }
-  } catch (...) {  // out of memory while telling of an error: it is counted all the same
+  } catch (...) {  // out of memory while reporting an error: it is counted nevertheless
   }
 }
 
@@ -137,7 +137,7 @@ void SourceNode::set_health(Health health, const Error* reason) {
   if (!is_open()) return;
   if (reason != nullptr) {
     loop()->call_own("sensor", [&] { on_demand().reason = loop()->runtime.hide(reason->text()); });
-    if (!is_open()) return;  // closed by who was told that there is no memory
+    if (!is_open()) return;  // closed by the handler of the out-of-memory error
   }
   if (health == health_) return;
   Call call(*this);  // the handler may close this

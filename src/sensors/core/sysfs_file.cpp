@@ -15,8 +15,8 @@
 namespace rtdata::detail {
 namespace {
 
-/// What statfs calls them (man 2 statfs). Where an open file shows what is written to it at once, unlike on file
-/// systems of other machines, or of layers.
+/// Local file systems, by their magic numbers (man 2 statfs): an open file shows new content at once, unlike on network
+/// and overlay file systems.
 constexpr unsigned long sysfs = 0x62656572;
 constexpr unsigned long local_file_systems[] = {0x01021994, 0x858458f6, 0xef53, 0x58465342, 0x9123683e, 0xf2f52010};
 

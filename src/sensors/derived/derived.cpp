@@ -65,7 +65,7 @@ class DerivedNode final : public FeedNode {
       outputs_.push_back({Expression(fields[i].expression, names), &description->leaves()[i]});
   }
 
-  /// Apart, since a subscription may fail.
+  /// Separate, because a subscription may fail.
   void subscribe(Loop& loop) {
     subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
                                         [this](std::size_t from, const EventView& event) { take(from, event); });
@@ -109,14 +109,14 @@ class DerivedNode final : public FeedNode {
       if (lacking->missing != nullptr)
         return fail({Errc::not_found, cannot_derive, object_name(), ExpressionSources::why(*lacking, age_),
                      "check its fields, and the expression"});
-      // Told once, and again when it is another topic that is missing.
+      // Reported once, and again if another topic is missing.
       if (health() == Health::faulted && absent_ == lacking) return;
       absent_ = lacking;
       return fault({Errc::timed_out, cannot_derive, object_name(), ExpressionSources::why(*lacking, age_),
                     "the sensor continues with the next event of that topic; a longer `age` bridges longer pauses"});
     }
     const Output* failed = nullptr;
-    for (Output& output : outputs_) {  // all of them, since memories take in each event
+    for (Output& output : outputs_) {  // all of them, because memories use each event
       const ExpressionResult result = output.expression.evaluate(time);
       if (result.has_failed() && failed == nullptr) failed = &output;
       std::byte* const optional = payload_.data() + output.leaf->offset;

@@ -44,7 +44,7 @@ std::string refusal_of(const TriggerConfig& config) {
 
 namespace detail {
 
-/// Events of one size, the oldest first. Takes its memory at once.
+/// Events of one size, the oldest first. Allocates its memory at once.
 class EventRing {
  public:
   EventRing(std::size_t room, std::size_t payload_bytes)
@@ -56,7 +56,7 @@ class EventRing {
     return sizeof(std::int64_t) + (payload_bytes + 7) / 8 * 8;
   }
   bool is_full() const noexcept { return end_ - begin_ == room_; }
-  /// Counts all that came; those from `begin` on are there.
+  /// Counts all events so far; those from `begin` on are stored.
   std::uint64_t begin() const noexcept { return begin_; }
   std::uint64_t end() const noexcept { return end_; }
   Time oldest() const noexcept {
@@ -95,10 +95,10 @@ class TriggerNode final : public FeedNode {
           Call call(*this);
           publish_some();
         }) {
-    set_numbered();  // it makes its events of those of others
+    set_numbered();  // it makes its events from those of other origins
   }
 
-  /// Apart, since a subscription may fail.
+  /// Separate, because a subscription may fail.
   void subscribe(Loop& loop) {
     subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
                                         [this](std::size_t from, const EventView& event) { take(from, event); });
@@ -155,7 +155,7 @@ class TriggerNode final : public FeedNode {
     publish_some();
   }
 
-  /// Whether the ring has place for it.
+  /// True if the ring has room for it.
   bool is_alike(const Description& description) {
     if (description.serial() == serial_) return true;
     if (!description_->same_layout(description) || !description_->same_meaning(description)) return false;
@@ -188,7 +188,7 @@ class TriggerNode final : public FeedNode {
     clear(condition);
     return result.is_true();
   }
-  /// Once for each time that it begins.
+  /// Reports once each time that it begins.
   template <class Why>
   void tell(Trouble trouble, Errc code, Why&& why) {
     if ((troubles_ & trouble) != 0) return;
@@ -242,7 +242,7 @@ class TriggerNode final : public FeedNode {
     if (take_sample(payload, time) == Fate::unusable) complain_of_input(unusable_error());
   }
 
-  /// Nothing comes any more.
+  /// No more events come.
   void empty() noexcept {
     more_.stop();
     if (!is_running()) return;
@@ -269,8 +269,8 @@ class TriggerNode final : public FeedNode {
   EventRing ring_;
   Timer more_;
   std::vector<Subscription> subscriptions_;
-  std::uint64_t serial_ = 0;    // of a description that is alike
-  std::uint64_t released_ = 0;  // what came before this in the ring is to be published
+  std::uint64_t serial_ = 0;    // with an equal description
+  std::uint64_t released_ = 0;  // events before this position in the ring must be published
   std::optional<Time> first_;   // since the start
   unsigned troubles_ = 0;
 };

@@ -55,7 +55,7 @@ class CounterDevice final : public detail::SensorDevice {
   void take(const GpioEdge& edge) {
     const std::uint64_t count = before_ + edge.number;
     const std::uint64_t more = count - count_;
-    // The first of an interval has no pulse before it to be measured from, unless there is one that is not too old.
+    // The first pulse of an interval can be measured only from an earlier pulse that is not too old.
     if (in_interval_ == 0 && (!earlier_ || edge.time - *earlier_ >= config_.still_after)) {
       earlier_ = edge.time;
       in_interval_ = 0;
@@ -82,7 +82,7 @@ class CounterDevice final : public detail::SensorDevice {
 
   void tell(const Error& error) {
     if (edges_.failure()) return;           // the next tick fails with it
-    if (backend_->numbers_edges()) return;  // what was dropped is in the count
+    if (backend_->numbers_edges()) return;  // dropped pulses are in the count
     loop_.core().runtime.report(&loop_.core(), "sensor " + name_, error);
   }
 

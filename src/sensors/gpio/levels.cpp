@@ -13,7 +13,7 @@ std::string written(const GpioLevel& level) {
   return level.chip.empty() ? level.line.text : level.chip + ":" + level.line.text;
 }
 
-/// The first that is there twice; null: none is.
+/// The first line that is listed twice; null: none.
 const GpioLevel* twice(const std::vector<GpioLevel>& lines) {
   for (auto one = lines.begin(); one != lines.end(); ++one)
     if (std::any_of(lines.begin(), one, [&](const GpioLevel& other) { return written(other) == written(*one); }))

@@ -136,7 +136,7 @@ class GpsNode final : public StreamNode {
   /// Takes the complete lines out of the buffer, whose bytes from `from` on are new.
   void take_lines(std::size_t from) {
     std::size_t begin = 0;
-    // A handler may stop the sensor, and start it again.
+    // A handler may stop and restart the sensor.
     const auto is_same = [this, connection = connections_] { return is_open() && connections_ == connection; };
     while (is_same()) {
       const auto end = line_.find('\n', std::max(begin, from));
@@ -208,7 +208,7 @@ class GpsNode final : public StreamNode {
       lose_receiver();
   }
   void lose_receiver() {
-    is_several_ = false;  // that is not the reason any more
+    is_several_ = false;  // no longer the reason
     degrade(no_receiver());
   }
   Error no_receiver() const {
@@ -315,7 +315,7 @@ class GpsNode final : public StreamNode {
             "gpsd has reported no fix for " + to_string(config_.silence),
             "check the receiver with `gpsmon`; `silence` is how long it may be silent"};
   }
-  /// gpsd answers at once, so that a connection whose other end is gone without a word is noticed.
+  /// gpsd answers at once, so that a connection whose peer has disappeared silently is noticed.
   void fell_silent() override {
     is_several_ = false;  // silence is the reason now
     is_answered_ = false;
@@ -348,17 +348,17 @@ class GpsNode final : public StreamNode {
   MonotonicTime began_{};                    // the attempt to connect
   unsigned connections_ = 0;                 // that have ended
   std::string line_;                         // bytes of lines that are not complete, at most most_line + most_read
-  bool is_overlong_ = false;                 // the rest of the line is thrown away
-  bool is_answered_ = false;                 // something has come since the question for a sign of life
+  bool is_overlong_ = false;                 // the rest of the line is discarded
+  bool is_answered_ = false;                 // data has come since gpsd was polled
   MonotonicTime at_{};                       // of the last read
   Time time_{};                              // of the last read
   GpsReport report_;
   std::vector<Receiver> receivers_;
   std::vector<std::string> devices_;   // the devices that gpsd named last
-  bool is_several_ = false;            // there are several receivers, which has been told
-  std::optional<Duration> time_line_;  // the time of day that was used first, less the monotonic time
+  bool is_several_ = false;            // there are several receivers, which was reported
+  std::optional<Duration> time_line_;  // the first used time of day minus the monotonic time
   bool is_step_reported_ = false;
-  bool is_time_reported_ = false;  // that it is used while nobody keeps the clock right
+  bool is_time_reported_ = false;  // it was reported that the time is used because the clock is not synchronised
   bool is_time_refusal_reported_ = false;
 };
 

@@ -7,7 +7,7 @@
 namespace rtdata::detail {
 namespace {
 
-/// Takes words and lines off the front of a text.
+/// Removes words and lines from the front of a text.
 class Words {
  public:
   explicit Words(std::string_view text) : rest_(text) {}
@@ -18,7 +18,7 @@ class Words {
     rest_.remove_prefix(word.size());
     return word;
   }
-  /// The rest of the line under way, without its end.
+  /// The rest of the current line, without its end.
   std::string_view line() noexcept {
     const std::string_view line = rest_.substr(0, rest_.find('\n'));
     rest_.remove_prefix(std::min(line.size() + 1, rest_.size()));
@@ -30,7 +30,7 @@ class Words {
     const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);
     return status == std::errc{} && end == text.data() + text.size();
   }
-  /// Numbers, each of which must be there.
+  /// Numbers, all of which must exist.
   template <class... T>
   bool numbers(T&... out) noexcept {
     return (number(out) && ...);

@@ -61,7 +61,7 @@ const char* name_of(LineFormat format) {
   return format == LineFormat::json ? "JSON" : format == LineFormat::csv ? "CSV" : "rows of labels";
 }
 
-/// What it is instead, if it is a page for people or the like.
+/// The format of an unexpected answer, such as a page for browsers.
 const char* other_format(std::string_view answer) {
   const std::string begin = detail::lower_case(
       answer.substr(std::min(answer.find_first_not_of(" \t\r\n"), answer.size()), 15));
@@ -89,7 +89,7 @@ const char* advice_on_status(long status) {
   }
 }
 
-/// Asks once, and decodes the answer. All but the constructor is on the lane.
+/// Sends one request and decodes the answer. Everything except the constructor runs on the lane.
 class HttpRequest final : public detail::Transaction {
  public:
   enum class Ended { value, unchanged, left_out, unreadable, failed };
@@ -109,7 +109,7 @@ class HttpRequest final : public detail::Transaction {
       ended_ = Ended::failed;
       ask();
     } catch (...) {
-      error_.reset();  // no memory: told as such
+      error_.reset();  // no memory: reported as such
     }
   }
   void close() noexcept override {
@@ -124,7 +124,7 @@ class HttpRequest final : public detail::Transaction {
   // ---- on the loop, when it has run
   Ended ended() const noexcept { return ended_; }
   std::byte* payload() noexcept { return decoder_.payload(); }
-  /// Its value was published: the same answer need not come again.
+  /// Its value was published: the server need not send the same answer again.
   void keep_etag() {
     if (config_.method == HttpAskMethod::get) etag_ = new_etag_;
   }
@@ -220,7 +220,7 @@ class HttpRequest final : public detail::Transaction {
                    answer.empty() ? "it is empty" : (error.where.empty() ? "" : error.where + ": ") + error.why,
                    error.advice.empty() ? "check `url` and `fields`" : error.advice);
   }
-  /// True: it has been told.
+  /// True: it was reported.
   bool is_other_format(std::string_view answer) {
     const char* const other = config_.format == LineFormat::pattern ? nullptr : other_format(answer);
     if (other == nullptr) return false;
