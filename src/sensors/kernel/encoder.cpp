@@ -22,7 +22,7 @@ constexpr const char* cannot_read_counter = "cannot read the counter";
 constexpr const char* counter_advice = "`rtdata scan` lists the counters; a driver makes them: `dmesg`, docs/iio.md";
 constexpr std::string_view counter_folder = "/sys/bus/counter/devices";
 
-/// The number behind the prefix: 3 of "counter3"; none for anything else.
+/// The number after the prefix: 3 for "counter3". Empty for anything else.
 std::optional<unsigned> number_behind(std::string_view prefix, std::string_view name) {
   unsigned number = 0;
   if (!name.starts_with(prefix) || detail::read_number(name.substr(prefix.size()), number) != std::errc{}) return {};
@@ -39,7 +39,7 @@ std::vector<std::string> numbered(const std::string& in, std::string_view prefix
   return names;
 }
 
-/// Empty: there is none, or it cannot be read.
+/// Empty: it does not exist or cannot be read.
 std::string text_of(const std::string& path) {
   auto text = detail::read_kernel_file(path, cannot_read_counter);
   return text ? std::move(*text) : "";
@@ -64,9 +64,9 @@ Result<std::string> find_one(const std::string& in, std::string_view prefix, con
                std::string("set `") + parameter + "` to the number of one"};
 }
 
-/// What opening has found.
+/// The result of opening.
 struct FoundCounter {
-  std::string folder = {};  ///< of the count
+  std::string folder = {};  ///< where the count is
   bool has_direction = false;
   CountTracker tracker = {};
   std::optional<std::uint64_t> ceiling = {};
@@ -134,7 +134,7 @@ Result<FoundCounter> find(const EncoderConfig& config) {
   if (range == 0 && detail::read_number(std::string_view(text_of(found.folder + "/ceiling")), ceiling) == std::errc{} &&
       ceiling > 0) {
     found.ceiling = ceiling;
-    range = ceiling + 1;  // 0, which is not known, for one of 64 bits, which never wraps around
+    range = ceiling + 1;  // 0 (not known) for a counter of 64 bits, which never wraps around
   }
   found.tracker = CountTracker(way, range);
   return found;
@@ -143,7 +143,9 @@ Result<FoundCounter> find(const EncoderConfig& config) {
 class FindCounter final : public detail::Transaction {
  public:
   explicit FindCounter(EncoderConfig config) : config_(std::move(config)) {}
-  void transact() noexcept override try { found = find(config_); } catch (...) {  // so short that it needs no memory
+  void transact() noexcept override try {
+    found = find(config_);
+  } catch (...) {  // the text is short enough to need no memory
     found = Error{Errc::io_failed, "no memory", "", "", ""};
   }
   Result<FoundCounter> found = FoundCounter{};
@@ -252,7 +254,7 @@ void CountTracker::begin(std::uint64_t raw) noexcept {
 }
 
 bool CountTracker::take(std::uint64_t raw) noexcept {
-  // A number of 32 bits with a sign, of which the kernel makes one of 64 bits without.
+  // A signed number of 32 bits, which the kernel turns into an unsigned number of 64 bits.
   constexpr std::uint64_t signs = 0xffff'ffff'8000'0000;
   const bool has_signs = (raw & signs) == signs;
   if (range_ == 0 && has_signs && way_ != Way::both) range_ = std::uint64_t{1} << 32;

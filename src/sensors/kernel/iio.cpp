@@ -22,7 +22,7 @@ std::string field_of(std::string channel) {
   return channel;
 }
 
-/// What is wrong with a channel; empty: nothing.
+/// What is wrong with a channel. Empty: nothing.
 std::string mistake_in(const std::string& channel, std::string& nearest) {
   if (iio_quantity(channel) != nullptr) return {};
   std::vector<std::string> known;
@@ -52,9 +52,9 @@ void check_channels(const std::vector<std::string>& channels, const ConfigItem& 
     problems.add(at.problem("bad-value", description.error().why));
 }
 
-/// What opening has found.
+/// The result of opening.
 struct Plan {
-  std::string device;  ///< for people
+  std::string device;  ///< for messages
   std::string node;
   std::vector<std::string> files;
   std::vector<IioConversion> conversions;
@@ -82,7 +82,7 @@ Result<Plan> find(const IioConfig& config) {
 class FindDevice final : public detail::Transaction {
  public:
   explicit FindDevice(IioConfig config) : config_(std::move(config)) {}
-  void transact() noexcept override try { plan = find(config_); } catch (...) {  // so short that it needs no memory
+  void transact() noexcept override try { plan = find(config_); } catch (...) {  // the text needs no memory
     plan = Error{Errc::io_failed, "no memory", "", "", ""};
   }
   Result<Plan> plan = Plan{};
@@ -110,11 +110,11 @@ class ReadChannels final : public detail::Transaction {
     for (const auto& file : files) file->close();
   }
   std::vector<std::unique_ptr<detail::SysfsFile>> files;
-  std::size_t failed = 0;  ///< the index of that one; as many as there are: none
+  std::size_t failed = 0;  ///< the index of that channel; the number of channels: every channel was read
   std::string holder;
 
  private:
-  void name_holder() noexcept try { holder = detail::holder_of(node_); } catch (...) {  // nobody is named
+  void name_holder() noexcept try { holder = detail::holder_of(node_); } catch (...) {  // then no name
   }
   const std::string node_;
 };

@@ -78,7 +78,7 @@ class PpsNode final : public StreamNode {
     next_.stop();
     file_.close();
   }
-  /// The pulse before the opening is not an event: nobody knows whose it is.
+  /// The pulse before the opening is not an event: it may come from another source.
   void take_first(const Result<PpsStamp>& first) {
     if (!first) return lose(first.error(), loop()->now());
     count_ = first->count;
@@ -118,7 +118,7 @@ class PpsNode final : public StreamNode {
     const Time now = loop()->runtime.clock_log.clock().realtime();
     const Duration ago = difference(stamp.time.time_since_epoch(), now.time_since_epoch());
     const MonotonicTime instant = later(looked_, -ago);
-    // The pulse came after the last look and before this one, unless the clock was set in between.
+    // The pulse came between the last read and this read, unless the clock was set in between.
     constexpr Duration noise = std::chrono::milliseconds{1};
     const bool is_known = instant <= later(looked_, noise) && instant >= later(before, -noise);
     const MonotonicTime at = is_known ? std::min(instant, looked_) : looked_;
@@ -176,13 +176,13 @@ class PpsNode final : public StreamNode {
 
   const PpsConfig config_;
   SysfsFile file_;
-  Timer next_;                         // look at the file
+  Timer next_;                         // read of the file
   std::uint32_t count_ = 0;            // of the last pulse
   MonotonicTime looked_{};             // last
-  std::optional<MonotonicTime> last_;  // pulse, if its instant is known
+  std::optional<MonotonicTime> last_;  // pulse, if its time is known
   std::optional<Duration> expected_;   // from one to the next
   PpsTimeCheck check_;
-  bool is_reported_ = false;  // why it is no source of the time
+  bool is_reported_ = false;  // why it cannot be a time source
 };
 
 }  // namespace detail

@@ -30,7 +30,7 @@ Result<double> parse_w1(std::string_view text) {
   const auto refused = [](Errc code, std::string why, const char* advice) {
     return Error{code, unreadable_w1, "", std::move(why), advice};
   };
-  if (detail::trimmed(text).empty())  // what the driver gives when nobody answers
+  if (detail::trimmed(text).empty())  // what the driver gives when the device does not answer
     return refused(Errc::disconnected, "it does not answer", "check its wires and its pull-up resistor");
   const auto bytes = scratchpad(text);
   const std::size_t equals = text.rfind("t=");

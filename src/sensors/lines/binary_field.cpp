@@ -55,13 +55,13 @@ auto number_of_kind(Kind kind) noexcept {
   }
 }
 
-/// Whether so many bits of this kind can be the number.
+/// True if a value of this kind with so many bits can be the number.
 bool can_be(Kind kind, int bits, double number) noexcept {
   if (is_floating(kind)) return true;
   if (!is_integer_kind(kind)) return false;
   const double range = std::ldexp(1.0, bits);  // how many numbers there are
   const double end = is_signed(kind) ? range / 2 : range;
-  // The largest of 64 bits is read as the next one.
+  // The largest number of 64 bits is rounded up to the next double.
   return number == std::trunc(number) && number >= (is_signed(kind) ? -range / 2 : 0) &&
          (number < end || (bits == 64 && number == end));
 }
@@ -122,7 +122,7 @@ bool BinaryField::takes(std::size_t bytes) const noexcept {
   return is_integer_kind(wire_) ? bytes >= 1 && bytes <= size_of(wire_) && has_bits : bytes == size_;
 }
 
-/// Of an integer; a negative one fills all 64.
+/// The bits of an integer; a negative integer fills all 64.
 std::uint64_t BinaryField::bits_of(std::string_view bytes) const noexcept {
   std::uint64_t bits = 0;
   for (std::size_t i = 0; i < bytes.size(); ++i) {
@@ -156,7 +156,7 @@ const char* BinaryField::put_any(std::string_view bytes, const FieldText& text, 
     *to = static_cast<std::byte>(bytes.front());
   } else {
     const double number = number_of(bytes);
-    if (text.is_used() && text.is_none(number)) return nullptr;  // absent, as it is from the beginning
+    if (text.is_used() && text.is_none(number)) return nullptr;  // absent, as at the start
     if (is_bcd_ && !has_digits(bytes)) return "its bytes are not decimal digits";
     if (leaf_->kind == Kind::f64 || leaf_->kind == Kind::f32) {
       const double value = scale_(number);

@@ -111,7 +111,7 @@ Checksum::Checksum(const LineChecksum& config) : config_(config) {
       tables_[k][byte] = tables_[k - 1][byte] >> 8 ^ tables_[0][tables_[k - 1][byte] & 0xff];
 }
 
-/// How long it is in the text.
+/// Its length in the text.
 std::size_t Checksum::width() const noexcept { return config_.form == Form::hex ? 2 * bytes_ : bytes_; }
 
 std::uint32_t Checksum::crc(std::string_view of, std::uint32_t value) const noexcept {
@@ -178,7 +178,7 @@ bool Checksum::read(std::string_view written, std::uint32_t& number) const noexc
   return true;
 }
 
-/// Bytes of the checksum itself may be the same.
+/// The bytes of the checksum itself may be equal to `after`.
 std::size_t Checksum::place_of_after(std::string_view text) const noexcept {
   if (config_.form == Form::hex) return text.rfind(config_.after);
   const std::size_t behind = config_.after.size() + width();
@@ -210,7 +210,7 @@ Checksum::Place Checksum::place_in(std::string_view text) const noexcept {
 }
 
 bool Checksum::is_damaged(std::string_view text) const noexcept {
-  if (config_.after.empty()) return false;  // it may be of another kind, which has none
+  if (config_.after.empty()) return false;  // the line may be of another kind, without a checksum
   const Place place = place_in(text);
   return place.end != std::string_view::npos && (!place.is_whole || place.number != place.right);
 }

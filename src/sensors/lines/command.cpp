@@ -21,7 +21,7 @@ namespace detail {
 namespace {
 
 constexpr Duration starting_limit = std::chrono::seconds{5};
-// A program that ends closes its output; both are told within this time.
+// A program that ends also closes its output; both are noticed within this time.
 constexpr Duration ending_limit = std::chrono::milliseconds{200};
 constexpr std::size_t longest_error_line = 500;
 constexpr const char* program_advice = "check the program: `run` it by hand";
@@ -58,9 +58,9 @@ class CommandNode final : public LineNode {
       node->take(Error{Errc::timed_out, "cannot start the program", run_.front(),
                        "it did not start within " + to_string(starting_limit), "check the disk of the program"});
     }
-    /// The node stops, or is closed.
+    /// The node stops or is closed.
     void forget() noexcept { node_ = nullptr; }
-    /// Also of a program that was started after its time.
+    /// Also ends a program that was started too late.
     ~Starting() override { end(); }
 
    private:
@@ -100,7 +100,7 @@ class CommandNode final : public LineNode {
     if (starting_ != nullptr) std::exchange(starting_, nullptr)->forget();
     LineNode::close_stream();
   }
-  /// Ends the program, too.
+  /// Also ends the program.
   void close_source(int) noexcept override {
     over_.stop();
     errors_.close();
@@ -132,7 +132,7 @@ class CommandNode final : public LineNode {
     lose({Errc::disconnected, "lost the program", place(), std::move(why), program_advice}, loop()->now());
   }
 
-  /// What the program says to its standard error goes to the log.
+  /// The program's standard error is written to the log.
   void take_errors() {
     std::array<char, 1024> bytes{};
     const ssize_t got = child_.errors >= 0 ? ::read(child_.errors, bytes.data(), bytes.size()) : 0;

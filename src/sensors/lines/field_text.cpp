@@ -14,7 +14,7 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr std::size_t longest_text = 128;  // of a number with what stands in it
+constexpr std::size_t longest_text = 128;  // of a number with its separators
 constexpr const char* wrong_groups = "has a `thousands` character that is not before a group of three digits";
 
 [[noreturn]] void refuse_field(const LineField& field, std::string why, std::string advice) {
@@ -60,7 +60,7 @@ FieldText::FieldText(const LineField& field)
   if (!field.words.empty() && field.type == Kind::text)
     refuse_field(field, "`words` mean numbers, but this field is a text", "set another `type`, or remove `words`");
   for (const std::string& text : field.no_value) {
-    // Written as the device writes its numbers.
+    // In the device's notation.
     double number = 0;
     std::string_view plain = text;
     const bool is_one = is_number_ && plain_number(plain) == nullptr && read_number(plain, number) == std::errc{};
@@ -94,7 +94,7 @@ FieldText::Found FieldText::read(std::string_view text) {
   return {.text = text};
 }
 
-/// A word, or one that stands for no value, which devices send with or without prefix and suffix.
+/// One of `words` or of `no_value`, which devices send with or without prefix and suffix.
 std::optional<FieldText::Found> FieldText::known_text(std::string_view text) const noexcept {
   for (const auto& [none, number] : no_value_)
     if (none == text) return Found{.is_absent = true};
@@ -115,8 +115,8 @@ bool FieldText::is_none(double number) const noexcept {
   });
 }
 
-/// Puts the digits before the mark into the buffer. `thousands` stands before groups of three of them, else it is
-/// another mark.
+/// Copies the digits before the decimal mark to the buffer. `thousands` must be before groups of three digits;
+/// otherwise it is not a thousands character.
 const char* FieldText::take_thousands(std::string_view& text) {
   if (thousands_ == '\0') return nullptr;
   std::size_t digits = 0;  // of the group
@@ -137,7 +137,7 @@ const char* FieldText::take_thousands(std::string_view& text) {
   return has_groups && digits != 3 ? wrong_groups : nullptr;
 }
 
-/// Null: the text is a number as it is written everywhere, or none at all.
+/// Null: the text is a number in the usual notation, or not a number.
 const char* FieldText::plain_number(std::string_view& text) {
   if (decimal_ == '.' && thousands_ == '\0' && base_ == 10 && !has_sign_blanks_) return nullptr;
   if (text.size() > longest_text) return "is too long for a number";
@@ -155,7 +155,7 @@ const char* FieldText::plain_number(std::string_view& text) {
     if (status != std::errc{} || end != text.data() + text.size()) return "is not a number in its `base`";
     // Negative numbers as bytes have them: as int16, FFFF is -1.
     if (base_ == 16 && half_ != 0 && number >= half_ && number / 2 < half_ && buffer_.empty()) {
-      number = 2 * half_ - number;  // 64 bits: wraps around to what is right
+      number = 2 * half_ - number;  // 64 bits: wraps around to the correct number
       buffer_ += '-';
     }
     std::array<char, longest_number> digits{};

@@ -26,7 +26,7 @@ char mark_of(Stuffing stuffing) noexcept {
   return stuffing == Stuffing::slip ? '\xc0' : stuffing == Stuffing::hdlc ? '\x7e' : '\0';
 }
 
-/// Each block begins with its length; behind one that is not full there was a 0.
+/// Each block begins with its length. After a block that is not full there was a 0.
 bool put_back_cobs(std::string_view stuffed, std::string& plain) {
   while (!stuffed.empty()) {
     const std::size_t size = static_cast<unsigned char>(stuffed.front());
@@ -38,7 +38,7 @@ bool put_back_cobs(std::string_view stuffed, std::string& plain) {
   return true;
 }
 
-/// A byte behind `escape` stands for another.
+/// A byte after `escape` represents another byte.
 bool put_back_escaped(Stuffing stuffing, std::string_view stuffed, std::string& plain) {
   const char escape = stuffing == Stuffing::slip ? '\xdb' : '\x7d';
   for (std::size_t i = 0; i < stuffed.size(); ++i) {
@@ -57,7 +57,7 @@ bool put_back_escaped(Stuffing stuffing, std::string_view stuffed, std::string& 
   return true;
 }
 
-/// How many bytes at the end may be the first ones of this mark.
+/// The number of bytes at the end that may be the start of this mark.
 std::size_t beginning_of(std::string_view mark, std::string_view bytes) noexcept {
   std::size_t size = std::min(bytes.size(), mark.size() - 1);
   while (!bytes.ends_with(mark.substr(0, size))) --size;
@@ -99,7 +99,7 @@ FrameCutter::FrameCutter(const LineFrame& config, std::size_t longest, Stream st
     refuse_frame("`after_end` works only with an `end` and without a length", "remove it");
 }
 
-/// The length that a frame says it has; empty: those bytes are still to come.
+/// The length stated in a frame. Empty: those bytes have not been received yet.
 std::optional<std::size_t> FrameCutter::announced(std::string_view frame) const noexcept {
   if (config_.length_at == 0) return config_.length;
   if (frame.size() < config_.length_at + config_.length_bytes) return std::nullopt;
@@ -114,7 +114,7 @@ std::optional<std::size_t> FrameCutter::announced(std::string_view frame) const 
 FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
   if (start_.empty() && config_.length == 0) return next_end(bytes);
   for (std::size_t begin = 0;;) {
-    const bool is_next = begin == 0 && bytes.starts_with(start_);  // as always, unless something was lost
+    const bool is_next = begin == 0 && bytes.starts_with(start_);  // the usual case, unless bytes were lost
     const std::size_t start = is_next ? 0 : bytes.find(start_, begin);
     if (start == std::string_view::npos) {
       return {bytes.size() - beginning_of(start_, bytes.substr(begin)), 0};
@@ -139,7 +139,8 @@ FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
   }
 }
 
-/// Stuffed frames may begin with marks, too, and between two of them is nothing. The first one ends what is too long.
+/// Stuffed frames may also begin with marks, and between two marks in a row there is no frame. The first mark ends a
+/// frame that is too long.
 std::size_t FrameCutter::marks_before(std::string_view bytes) const noexcept {
   if (config_.stuffing == Stuffing::none || is_overlong_) return 0;
   return std::min(bytes.find_first_not_of(end_.front()), bytes.size());
@@ -151,7 +152,7 @@ bool FrameCutter::holds_another(std::string_view frame) const noexcept {
          frame.find(start_, start_.size()) != std::string_view::npos;
 }
 
-/// Frames without a start begin where the last one ended.
+/// Frames without a start begin at the end of the last frame.
 FrameCutter::Found FrameCutter::next_end(std::string_view bytes) noexcept {
   for (std::size_t begin = 0;;) {
     begin += marks_before(bytes.substr(begin));

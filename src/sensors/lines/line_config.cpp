@@ -41,7 +41,7 @@ bool begins_a_boolean(std::string_view text) noexcept {
   return false;
 }
 
-/// NMEA has lines of its own kind.
+/// NMEA defines its own lines.
 void check_nmea(const LineConfig& config) {
   for (const auto& [key, is_set] : {std::pair("frame", config.frame.has_value()),
                                     {"only", config.only.has_value()},
@@ -214,7 +214,7 @@ void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const 
     if (config.frame) FrameCutter(*config.frame, config.max_line, stream);
   } catch (const SetupError& error) {
     const Error& e = error.error();
-    if (e.code == Errc::not_found) {  // the library of patterns
+    if (e.code == Errc::not_found) {  // the pattern library
       add_not_installed(e, item, problems);
       return;
     }
@@ -223,7 +223,7 @@ void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const 
     const bool is_of_key = std::find(std::begin(keys), std::end(keys), e.where) != std::end(keys);
     const std::string key = is_of_key ? e.where : "fields";
     const ConfigItem* at = item.find(key);
-    if (at == nullptr && key == "comment") at = item.find("separator");  // which is that of the default
+    if (at == nullptr && key == "comment") at = item.find("separator");  // which has the default comment
     const bool is_key = e.where.empty() || e.where == key;
     problems.add(
         (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));

@@ -64,7 +64,7 @@ LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
   cell_.reserve(config.max_line);
   for (LineField& field : fields_) {
     LineField text = field;
-    if (field.wire) text.base = 10;  // that of digits that are bytes, of which `no_value` has numbers
+    if (field.wire) text.base = 10;  // the base of digits that are bytes, whose numbers are in `no_value`
     texts_.emplace_back(text);
     scales_.emplace_back(field.scale);
     field.optional = field.optional || !field.no_value.empty();
@@ -108,7 +108,7 @@ bool LineDecoder::is_skipped(std::string_view line) const noexcept {
 
 bool LineDecoder::is_chosen(std::string_view line) {
   is_too_long_ = is_not_json_ = false;
-  // Whether it is meant may not be known: then `decode` fails.
+  // If it is not known whether the line is for this sensor, `decode` fails.
   return matches(*only_, line) || is_not_json_;
 }
 
@@ -128,7 +128,7 @@ std::optional<LineDecoder::Match> LineDecoder::match_of(const std::optional<Line
   return match;
 }
 
-/// Also true if it would take too long to know.
+/// Also true if the search would take too long.
 bool LineDecoder::matches(Match& match, std::string_view line) {
   const LineMatch& wanted = match.config;
   if (!match.bytes.empty()) {
@@ -148,7 +148,7 @@ bool LineDecoder::is_found(LinePattern& pattern, std::string_view text) noexcept
   return search != LinePattern::Search::not_found;
 }
 
-/// Each group that has a name is a field's.
+/// Each named group belongs to a field.
 void LineDecoder::use_pattern(const std::string& expression) {
   pattern_.emplace(expression, "pattern", has_bytes());
   groups_.resize(fields_.size());
@@ -329,7 +329,7 @@ Result<LineDecoder::Column> LineDecoder::next_column(std::size_t index, std::str
   const auto first = rest.find_first_not_of(' ');
   const bool is_quoted = first != std::string_view::npos && rest[first] == '"';
   std::size_t end = is_quoted ? first + 1 : rest.find(separator_);
-  if (is_quoted) {  // a separator in it belongs to it, and a quote is written twice
+  if (is_quoted) {  // it may contain separators, and a quote in it is written twice
     cell_.clear();
     for (;; ++end) {
       const auto quote = rest.find('"', end);
@@ -349,7 +349,7 @@ Result<LineDecoder::Column> LineDecoder::next_column(std::size_t index, std::str
   return Column{text, is_quoted};
 }
 
-/// To the next column, behind the separator at `end`; npos: the line has no other.
+/// Goes to the next column, after the separator at `end`. npos: it was the last column.
 void LineDecoder::go_behind(std::size_t end, std::string_view& rest) const noexcept {
   if (end == std::string_view::npos) {
     rest = {};
@@ -359,7 +359,7 @@ void LineDecoder::go_behind(std::size_t end, std::string_view& rest) const noexc
   if (separator_ == ' ') rest.remove_prefix(std::min(rest.find_first_not_of(' '), rest.size()));
 }
 
-/// Most columns are plain numbers, which need only one look at them. False: `next_column` looks at it.
+/// Most columns are plain numbers, which are read in one pass. False: `next_column` must read it.
 bool LineDecoder::take_number(const PlainNumber& plain, std::string_view& rest) noexcept {
   const char* const end = rest.data() + rest.size();
   double number = 0;
@@ -375,7 +375,7 @@ bool LineDecoder::take_number(const PlainNumber& plain, std::string_view& rest) 
   return true;
 }
 
-/// Blanks within the quotes of a number do not count.
+/// Blanks within the quotes of a number are ignored.
 std::string_view LineDecoder::text_of(std::size_t index, const Column& column) const noexcept {
   const Leaf* const leaf = leaves_[index];
   const bool is_text = leaf == nullptr || leaf->kind == Kind::text || leaf->kind == Kind::character;
@@ -436,7 +436,7 @@ Result<void> LineDecoder::decode_pattern(std::string_view line) {
 
 /// Bytes, or hexadecimal digits of bytes.
 Result<void> LineDecoder::put_group(std::size_t index, std::string_view group) {
-  std::optional<std::string> bytes;  // the few of a number need no allocation
+  std::optional<std::string> bytes;  // the few bytes of a number need no allocation
   if (fields_[index].base == 16) {
     bytes = bytes_of_hex(group);
     if (!bytes) return failure(Errc::bad_data, index, shown_line(group) + " is not bytes");
@@ -463,7 +463,7 @@ std::size_t LineDecoder::end_of_label(std::string_view row, std::string_view lab
   return mark != std::string_view::npos && trimmed(row.substr(0, mark)) == label ? mark : std::string_view::npos;
 }
 
-/// What follows the label in the first row with it; empty: there is none.
+/// The rest of the first row with this label. Empty: there is no such row.
 std::optional<std::string_view> LineDecoder::row_of(std::string_view rows, std::string_view label) const noexcept {
   while (!rows.empty()) {
     const std::size_t end = std::min(rows.find('\n'), rows.size());
@@ -547,7 +547,7 @@ std::optional<std::uint64_t> LineDecoder::steps_between(std::uint64_t from, std:
   const std::uint64_t forward = (to - from) & all;
   const bool is_signed = sequence_->kind <= Kind::i64;
   const bool has_grown = is_signed ? forward <= all / 2 : to > from;
-  // A number that goes back has wrapped when that is a small step, else the device has started again.
+  // A number that goes back has wrapped around if the step is small; otherwise the device has restarted.
   if (forward != 0 && !has_grown && forward > all / 16) return std::nullopt;
   return forward;
 }

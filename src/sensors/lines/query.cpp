@@ -29,7 +29,7 @@ std::optional<Mistake> mistake_in_request(const Query::Config& config) {
   return std::nullopt;
 }
 
-/// The answer, as lines that come by themselves.
+/// The settings of the answer, in the form of lines that a device sends by itself.
 LineConfig as_lines(const Query::Config& config) {
   LineConfig lines;
   lines.format = config.format;
@@ -76,7 +76,7 @@ struct Query::Decoding {
     if (config.frame) cutter.emplace(*config.frame, longest_answer, detail::FrameCutter::Stream::of_one);
   }
   detail::LineDecoder decoder;
-  std::optional<detail::FrameCutter> cutter;  // none: the answer is a line
+  std::optional<detail::FrameCutter> cutter;  // empty: the answer is a line
 };
 
 Query::Query(const Config& config)
@@ -103,7 +103,7 @@ Result<void> Query::open(SerialDevice& line) {
   return {};
 }
 
-/// `of`: the setting that asked for it.
+/// `of`: the setting that caused the answer.
 Result<void> Query::drop_answer(SerialDevice& line, Answer answer, const char* of) {
   Result<std::string> got = answer == Answer::frame ? next_frame(line)
                                                     : line.read_until(config_.answer_end, {}, longest_answer);
@@ -123,7 +123,7 @@ Result<void> Query::prepare(SerialDevice& line) {
     if (auto done = drop_answer(line, decoding_->cutter && !is_text ? Answer::frame : Answer::line, "prepare"); !done)
       return done;
   }
-  // What comes meanwhile, such as that it has measured, is dropped by the request.
+  // The request drops anything received until then, such as a notice that the measurement is complete.
   if (!prepare_.empty()) detail::lane_sleep(config_.prepare_wait);
   return {};
 }
@@ -134,7 +134,7 @@ Result<std::string> Query::ask_for_frame(SerialDevice& line) {
   return next_frame(line);
 }
 
-/// The first frame that comes; what is before it is left out.
+/// The next frame; bytes before it are skipped.
 Result<std::string> Query::next_frame(SerialDevice& line) {
   detail::FrameCutter& cutter = *decoding_->cutter;
   cutter.reset();
@@ -164,7 +164,7 @@ Result<std::string> Query::next_frame(SerialDevice& line) {
   }
 }
 
-/// The port was opened again behind this driver's back, since the device was gone for a moment.
+/// The port was opened again without this driver, because the device was gone for a moment.
 Result<void> Query::open_if_lost(SerialDevice& line) {
   if (line.losses() == losses_ || at_open_.empty()) return {};
   if (auto done = line.drop_input(); !done) return done;

@@ -70,10 +70,10 @@ class SerialLineNode final : public LineNode, private SerialSource::User {
     std::array<char, 1024> bytes;
     std::size_t dropped = 0;
     bool is_within_line = false;
-    constexpr int most_reads = 256;  // a device that sends all the time does not hold the loop
+    constexpr int most_reads = 256;  // a device that sends all the time must not block the loop
     for (int i = 0; i < most_reads; ++i) {
       const ssize_t got = ::read(fd, bytes.data(), bytes.size());
-      if (got <= 0) break;  // an error shows again
+      if (got <= 0) break;  // an error will appear again
       dropped += static_cast<std::size_t>(got);
       const char last = bytes[static_cast<std::size_t>(got) - 1];
       is_within_line = last != config().line_end && last != '\n' && last != '\r';

@@ -19,7 +19,7 @@ namespace rtdata {
 namespace detail {
 namespace {
 
-constexpr Duration silence_of_the_old = std::chrono::seconds{1};  // then a new connection replaces it
+constexpr Duration silence_of_the_old = std::chrono::seconds{1};  // after this time a new connection replaces it
 
 std::string place_of(const TcpLinesConfig& config) {
   return (config.listen.empty() ? config.host : config.listen) + " port " + std::to_string(config.port);
@@ -44,7 +44,7 @@ std::optional<AddressMistake> mistake_in_tcp(const TcpLinesConfig& config) {
 
 }  // namespace
 
-/// Sensors whose lines come by a TCP connection.
+/// Sensors that receive lines over a TCP connection.
 class TcpLinesNode : public LineNode {
  protected:
   TcpLinesNode(LoopCore& loop, const FeedConfig& feed, TcpLinesConfig& config)
@@ -131,7 +131,7 @@ class TcpServerNode final : public TcpLinesNode, private TcpListener::User {
     if (listener_) listener_->remove(*this);
     listener_.reset();
   }
-  /// If there is one already, the second waits until it is known which is the device's.
+  /// If a connection exists, the second waits until it is known which one is the device's.
   void take_connection(int fd) override {
     Call call(*this);
     if (!has_source()) return use(fd);
@@ -152,7 +152,7 @@ class TcpServerNode final : public TcpLinesNode, private TcpListener::User {
     const int fd = std::exchange(waiting_, -1);
     if (fd < 0) return;
     char byte = 0;
-    const bool has_ended = ::recv(fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT) == 0;  // a look at the port, and no device
+    const bool has_ended = ::recv(fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT) == 0;  // a port scan, not a device
     const bool is_old_silent = has_source() && loop()->now() - heard_at() >= silence_of_the_old;
     if (has_ended) return refuse(fd, "it was closed at once");
     if (has_source() && !is_old_silent) return refuse(fd, "another device connected while one is sending");

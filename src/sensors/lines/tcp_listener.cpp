@@ -11,7 +11,7 @@
 namespace rtdata::detail {
 namespace {
 
-/// The ports of all loops. Only opening and closing look here.
+/// The ports of all loops. Used only for opening and closing.
 struct OpenPorts {
   std::mutex mutex;
   std::vector<std::pair<const LoopCore*, std::weak_ptr<TcpListener>>> all;

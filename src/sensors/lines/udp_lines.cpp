@@ -19,12 +19,12 @@ namespace rtdata {
 namespace detail {
 namespace {
 
-// Read in one turn of the loop, at most: the lines in them stay below the capacity of a topic's ring.
+// The most datagrams read in one turn of the loop: their lines stay below the capacity of a topic's ring.
 constexpr std::size_t most_turn_bytes = 512;
 constexpr int most_turn_datagrams = 16;
-constexpr int buffer_size = 1 << 20;  // of the kernel, which may give less
+constexpr int buffer_size = 1 << 20;  // in the kernel, which may give less
 
-/// A socket that hears there, and does not block.
+/// A non-blocking socket that receives at this address.
 Result<int> open_udp(const IpAddress& address, const std::string& place) {
   const int fd = ::socket(address.storage.ss_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
   const auto failed = [&](const char* advice) {
@@ -36,7 +36,8 @@ Result<int> open_udp(const IpAddress& address, const std::string& place) {
   const int on = 1;
   ::setsockopt(fd, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
   ::setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &buffer_size, sizeof buffer_size);
-  if (address.is_group()) ::setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);  // others may hear it too
+  if (address.is_group())
+    ::setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);  // other programs may receive it too
   if (::bind(fd, address.get(), address.size) != 0)
     return failed(errno == EADDRINUSE ? "choose another port, or end the program that uses this one (`ss -ulp` shows "
                                         "it); it may also be another sensor"
@@ -69,7 +70,7 @@ class UdpLinesNode final : public LineNode {
                  config.address + " port " + std::to_string(config.port), "check what the device sends"),
         address_(*ip_address(config.address, config.port)) {
     if (!config.from.empty()) from_ = ip_address(config.from, 0);
-    buffer_.resize(UdpLinesConfig::longest_datagram + 1);  // and the end of its last line
+    buffer_.resize(UdpLinesConfig::longest_datagram + 1);  // plus the end of its last line
     set_stream();
   }
 
@@ -147,7 +148,7 @@ class UdpLinesNode final : public LineNode {
     take_bytes_read({buffer_.data(), size}, 0);
     if (has_source() && opening() == before) end_message();  // the next datagram may be of another sender
   }
-  /// Also of those behind which no datagram came.
+  /// Also finds dropped datagrams after which no datagram was received.
   void look_for_drops() {
     std::array<std::uint32_t, 16> numbers{};
     socklen_t size = sizeof numbers;
@@ -161,7 +162,7 @@ class UdpLinesNode final : public LineNode {
     const Error error{Errc::backlog, "datagrams are lost", place(),
                       "the kernel has dropped " + std::to_string(more) + ": its buffer was full",
                       "find what holds the loop, or set the device to send less"};
-    // The numbers of the lines tell how many are missing; without them each datagram is one that could not be read.
+    // The numbers of the lines show how many are missing; without them each dropped datagram counts as unreadable.
     if (!config().sequence_field.empty()) {
       if (is_end) origin_.counts.lost += more;  // no number will follow
       return degrade(error);

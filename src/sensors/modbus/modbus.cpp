@@ -1,4 +1,4 @@
-// Modbus Application Protocol V1.1b3: 6.1 to 6.4 the functions that read. Orders of words are the devices' own.
+// Modbus Application Protocol V1.1b3: 6.1 to 6.4, the functions that read. The order of words depends on the device.
 #include "rtdata/sensors/modbus.hpp"
 
 #include <algorithm>
@@ -21,7 +21,7 @@ constexpr unsigned most_addresses = 65536;
 
 bool is_of_bits(ModbusTable table) { return table == ModbusTable::coil || table == ModbusTable::discrete; }
 
-/// Addresses that the field takes.
+/// The number of addresses of the field.
 unsigned width_of(const ModbusField& field) {
   if (is_of_bits(field.table)) return 1;
   return field.type == Kind::text ? field.registers.value_or(0)
@@ -36,7 +36,7 @@ Kind published_kind(const ModbusField& field) {
   return is_computed(field) ? Kind::f64 : field.type;
 }
 
-/// The same number of bits, with a sign for one without, and the other way round.
+/// The type of the same size: signed for an unsigned type, and the reverse.
 Kind other_sign(Kind kind) {
   switch (kind) {
     case Kind::i16:
@@ -56,12 +56,12 @@ Kind other_sign(Kind kind) {
   }
 }
 
-/// Whether registers of this type can hold it.
+/// True if registers of this type can hold the number.
 bool can_be_raw(Kind type, double number) {
   if (type == Kind::f32) return std::abs(number) <= std::numeric_limits<float>::max();
   if (!detail::is_integer_kind(type)) return std::isfinite(number);
   const int bits = static_cast<int>(8 * detail::size_of(type));
-  // 2^64 is the nearest double of the largest of 64 bits.
+  // 2^64 is the double nearest to the largest number of 64 bits.
   const double most = bits == 64 ? std::ldexp(1.0, bits) : std::ldexp(1.0, bits) - 1;
   return number == std::trunc(number) && number >= -std::ldexp(1.0, bits - 1) && number <= most;
 }
@@ -70,7 +70,7 @@ Error refused(const ModbusField& field, std::string why, std::string advice) {
   return {Errc::bad_argument, "cannot use this field", "field " + field.name, std::move(why), std::move(advice)};
 }
 
-/// What registers cannot be, beside where they are.
+/// Checks the registers, except their addresses.
 Result<void> check_registers(const ModbusField& field) {
   const std::string type(name_of(field.type));
   if (field.type == Kind::text) {
@@ -199,7 +199,7 @@ std::uint64_t Modbus::bits_of(std::span<const std::uint16_t> words, WordOrder or
 
 namespace {
 
-/// Up to the first NUL, without blanks at the end.
+/// The text up to the first NUL, without blanks at the end.
 std::string text_of(std::span<const std::uint16_t> words, WordOrder order) {
   std::string text;
   for (const std::uint16_t word : words) {
@@ -211,7 +211,7 @@ std::string text_of(std::span<const std::uint16_t> words, WordOrder order) {
   return text;
 }
 
-/// The number of this kind that has these bits.
+/// The number with these bits, of this kind.
 double number_of(Kind kind, std::uint64_t bits) {
   switch (kind) {
     case Kind::i16:
@@ -236,7 +236,7 @@ double number_of(Kind kind, std::uint64_t bits) {
 constexpr std::uint16_t no_exponent = 0x8000;
 constexpr int most_exponent = 10;  // SunSpec Device Information Model Specification, sunssf
 
-/// Whether the bits of a field are those by which the device says that it has none.
+/// True if the bits of a field mean that the device has no value.
 bool is_none(const ModbusField& field, std::uint64_t bits) {
   if (field.no_value.empty()) return false;
   const double raw = number_of(field.type, bits);
@@ -246,7 +246,7 @@ bool is_none(const ModbusField& field, std::uint64_t bits) {
          });
 }
 
-/// Those of the mask, moved down to the lowest.
+/// The bits of the mask, shifted down to bit 0.
 std::uint64_t masked(const ModbusField& field, std::uint64_t bits) {
   return field.mask ? (bits & *field.mask) >> std::countr_zero(*field.mask) : bits;
 }
@@ -258,7 +258,7 @@ Result<double> Modbus::decode(const ModbusField& field, std::span<const std::uin
   const double raw = number_of(field.type, masked(field, bits_of(words, field.word_order.value_or(order))));
   const double power = std::pow(10.0, std::abs(exponent));
   const double scaled = raw * field.scale;
-  // A division rounds once: 2301 of -1 is 230.1.
+  // A division rounds only once: 2301 with exponent -1 is 230.1.
   const double number = (exponent < 0 ? scaled / power : scaled * power) + field.offset;
   if (!std::isfinite(number))
     return Error{Errc::not_a_number, "cannot use a value", "field " + field.name, "it is not a number",
@@ -271,7 +271,7 @@ Modbus::Modbus(const Config& config)
   std::size_t size = 0;
   for (const Request& request : requests_) size += request.count;
   words_.resize(size);
-  /// The first of these addresses, which one request reads.
+  /// The position of these addresses, which are in one request.
   const auto find = [&](ModbusTable table, unsigned first, unsigned width) {
     std::size_t at = 0;
     for (const Request& request : requests_) {
@@ -279,7 +279,7 @@ Modbus::Modbus(const Config& config)
         return at + first - request.first;
       at += request.count;
     }
-    return size;  // there is none such
+    return size;  // not found
   };
   for (const ModbusField& field : config_.fields) {
     sources_.push_back({description_->find(field.name), find(field.table, field.address, width_of(field)),

@@ -14,7 +14,7 @@ namespace rtdata {
 namespace detail {
 namespace {
 
-constexpr int most_unanswered = 1000;  // messages that the broker sends before it wants an answer
+constexpr int most_unanswered = 1000;  // messages that the broker sends before it waits for an answer
 constexpr Duration look_after = std::chrono::milliseconds{5};
 constexpr const char* topic_key = "$topic";
 constexpr const char* retained_key = "$retained";
@@ -124,7 +124,7 @@ class MqttNode final : public StreamNode {
   void was_lost(const Error& error) {
     if (is_open() && is_running()) lose(error, is_there() ? loop()->now() : began_);
   }
-  /// False: the connection is another, or none, now.
+  /// False: the connection has been replaced or closed.
   bool take_messages(MqttClient& client) {
     if (client.arrived == 0) return true;
     Call call(*this);
@@ -160,7 +160,7 @@ class MqttNode final : public StreamNode {
     loop()->call_own(object_name(), [&] { connection_->goodbye(); });
     is_holding_ = false;
   }
-  /// There was a connection with a subscription.
+  /// The connection and its subscriptions are ready.
   bool is_there() const noexcept { return !answer_.is_running(); }
   void give_up_waiting() {
     connection_->give_up({Errc::timed_out, "cannot connect", connection_->server(),
@@ -243,10 +243,10 @@ class MqttNode final : public StreamNode {
   Timer stored_;
   MonotonicTime began_{};     // the attempt to connect
   unsigned connections_ = 0;  // that have ended
-  std::string refused_;       // subscriptions; empty: none
+  std::string refused_;       // the refused subscriptions; empty: none
   Time time_{};
   bool is_holding_ = false;
-  std::uint64_t stored_when_ = 0;  // the sink has stored so many
+  std::uint64_t stored_when_ = 0;  // answer when the sink has stored this number
   MonotonicTime held_since_{};
 };
 
