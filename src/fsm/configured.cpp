@@ -17,7 +17,7 @@ struct ConfiguredMachine::Core {
   Core(const Core&) = delete;
   Core& operator=(const Core&) = delete;
 
-  /// Of an input, beside its events.
+  /// The state of an input, in addition to its events.
   struct Age {
     bool has_come = false;
     bool is_silence_reported = false;
@@ -150,9 +150,9 @@ void ConfiguredMachine::Core::listen() {
   for (const std::string& topic : settings.inputs) detail::is_made_of(detail::node_of_open(machine, topic), topic);
   if (sync)
     patience = Timer(loop, {.name = "machine " + settings.name}, [this] {
-      report(Errc::timed_out, "actions on a change do not wait for the disk any longer",
-             "state " + settings.states[state].name, "the disk took longer than " + to_string(settings.resume->wait),
-             "check the recording: after a power failure now, the machine would not go on in this state");
+      report(Errc::timed_out, "actions on a change no longer wait for the disk", "state " + settings.states[state].name,
+             "the disk took longer than " + to_string(settings.resume->wait),
+             "check the recording: after a power failure now, the machine would not continue in this state");
       acted_on(syncing);
     });
   if (settings.max_age > Duration{0} && !ages.empty()) {
@@ -220,7 +220,7 @@ void ConfiguredMachine::Core::evaluate(When& when, Time time) {
     when.is_failure_reported = false;
   } else if (!std::exchange(when.is_failure_reported, true)) {
     report(Errc::bad_data, "a condition failed", when.of, when.expression.why(),
-           "the condition counts as false; guard it, as in `x != 0 and 1 / x > 5`, or check what is measured");
+           "the condition counts as false: guard it, as in `x != 0 and 1 / x > 5`, or check the measured value");
   }
 }
 
@@ -260,7 +260,7 @@ void ConfiguredMachine::Core::arrived(std::size_t index) {
 
 void ConfiguredMachine::Core::act() {
   if (!sync) return acted_on(arrivals);
-  if (syncing != 0) return;  // the last one follows
+  if (syncing != 0) return;  // the handler is called for the last change
   syncing = arrivals;
   patience.start(settings.resume->wait);
   sync([weak = self, number = syncing] {
@@ -285,7 +285,7 @@ void ConfiguredMachine::Core::report_silence() {
     report(Errc::timed_out, "conditions wait", "topic " + settings.inputs[i],
            ages[i].has_come ? "the topic has had no event for more than " + to_string(settings.max_age)
                             : "the topic has had no event yet",
-           "the conditions go on with its next event; a longer `max_age` bridges longer pauses");
+           "the conditions are tried again with its next event; a longer `max_age` bridges longer pauses");
   }
 }
 

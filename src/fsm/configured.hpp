@@ -8,7 +8,7 @@
 ///        {"from": "flying", "to": "landed", "after": "20 min"}]}
 ///
 /// It is an fsm::Machine (machine.hpp) whose transitions are tried with each event of its inputs. Names in `when` are
-/// FIELD, of the first of the inputs, TOPIC.FIELD, and TOPIC of one with a single number, as of derived topics
+/// FIELD (of the first of the inputs), TOPIC.FIELD, and TOPIC for a topic with a single number, as for derived topics
 /// (docs/expressions.md). A value older than `max_age` counts as missing: expressions with it wait, and a condition
 /// that waits or fails is false. Conditions of the current state evaluate each event of the inputs; their memories
 /// (`highest(x)`, `mean(x, 2)` ...) restart when the machine arrives in the state. Use a derived topic for memory over
@@ -41,8 +41,9 @@ struct OutputValue {
   double value = 1;
 
   friend constexpr auto parameters(type_tag<OutputValue>) {
-    return parameter_list(parameter("output", &OutputValue::output, "which output", required, names_part("output")),
-                          parameter("value", &OutputValue::value, "the value to set; of a line 1 is on, 0 off"));
+    return parameter_list(
+        parameter("output", &OutputValue::output, "which output", required, names_part("output")),
+        parameter("value", &OutputValue::value, "the value to set; for a GPIO line 1 is on and 0 is off"));
   }
 };
 
@@ -54,12 +55,13 @@ struct StateSettings {
 
   friend constexpr auto parameters(type_tag<StateSettings>) {
     return parameter_list(
-        parameter("name", &StateSettings::name, "its name, of 48 bytes at most", required, TextIs::name),
+        parameter("name", &StateSettings::name, "name of the state, at most 48 bytes", required, TextIs::name),
         parameter("set", &StateSettings::set, "values of outputs, set when the machine enters the state"),
         parameter("arm", &StateSettings::arm,
-                  "outputs that can be armed in this state; an output that states name here, in no other",
+                  "outputs that can be armed in this state; an output listed in any state can be armed only in the "
+                  "states that list it",
                   names_part("output")),
-        parameter("final", &StateSettings::is_final, "no transition leads out of it, on purpose"));
+        parameter("final", &StateSettings::is_final, "true: by design, no transition leads out of this state"));
   }
 };
 
@@ -75,15 +77,17 @@ struct TransitionSettings {
   friend constexpr auto parameters(type_tag<TransitionSettings>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("from", &TransitionSettings::from, "the state that it leads out of", required, TextIs::recorded),
-        parameter("to", &TransitionSettings::to, "the state that it leads to", required, TextIs::recorded),
+        parameter("from", &TransitionSettings::from, "the state that the transition leaves", required,
+                  TextIs::recorded),
+        parameter("to", &TransitionSettings::to, "the state that the transition enters", required, TextIs::recorded),
         parameter("when", &TransitionSettings::when, "an expression that must be true", TextIs::recorded),
-        parameter("for", &TransitionSettings::hold, "`when` must have been true that long",
+        parameter("for", &TransitionSettings::hold, "`when` must have been true for this long",
                   range(Duration{0}, Duration{24h * 365})),
-        parameter("after", &TransitionSettings::after, "the machine must have been in `from` that long",
+        parameter("after", &TransitionSettings::after, "the machine must have been in `from` for this long",
                   range(Duration{0}, Duration{24h * 365})),
-        parameter("event", &TransitionSettings::event, "the named event that it waits for, and no other", TextIs::name),
-        parameter("cause", &TransitionSettings::cause, "the recorded cause; default: made of the above",
+        parameter("event", &TransitionSettings::event, "the transition is tried only at this named event",
+                  TextIs::name),
+        parameter("cause", &TransitionSettings::cause, "cause that is recorded; default: made from the settings above",
                   TextIs::recorded));
   }
 };
@@ -98,16 +102,17 @@ struct ResumeSettings {
 
   friend constexpr auto parameters(type_tag<ResumeSettings>) {
     using namespace std::chrono_literals;
-    return parameter_list(parameter("recording", &ResumeSettings::recording, "the recording that has its changes",
-                                    required, names_part("sink", "sqlite")),
-                          parameter("max_age", &ResumeSettings::max_age, "after a longer pause it begins in `start`",
-                                    required, range(Duration{1ms}, Duration{24h * 365})),
-                          parameter("unknown_age", &ResumeSettings::unknown_age,
-                                    "how it starts when the clock cannot say how long the pause was", required,
-                                    choices(value("resume", UnknownAge::resume), value("start", UnknownAge::start))),
-                          parameter("wait", &ResumeSettings::wait,
-                                    "how long actions on a change wait, at most, until the disk has the change",
-                                    range(Duration{1ms}, Duration{1min})));
+    return parameter_list(
+        parameter("recording", &ResumeSettings::recording, "recording that contains the changes of the machine",
+                  required, names_part("sink", "sqlite")),
+        parameter("max_age", &ResumeSettings::max_age, "after a longer pause the machine begins in `start`", required,
+                  range(Duration{1ms}, Duration{24h * 365})),
+        parameter("unknown_age", &ResumeSettings::unknown_age,
+                  "how the machine starts when the length of the pause is unknown", required,
+                  choices(value("resume", UnknownAge::resume), value("start", UnknownAge::start))),
+        parameter("wait", &ResumeSettings::wait,
+                  "longest time that actions on a change wait until the change is on the disk",
+                  range(Duration{1ms}, Duration{1min})));
   }
 };
 
@@ -124,17 +129,21 @@ struct MachineSettings {
   friend constexpr auto parameters(type_tag<MachineSettings>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("name", &MachineSettings::name, "unique; its changes are recorded under it", required, TextIs::name),
-        parameter("topic", &MachineSettings::topic, "of its changes; default: as `name`", TextIs::topic),
+        parameter("name", &MachineSettings::name, "unique name; the changes of the machine are recorded under it",
+                  required, TextIs::name),
+        parameter("topic", &MachineSettings::topic, "topic of its changes; default: `name`", TextIs::topic),
         parameter("inputs", &MachineSettings::inputs,
-                  "topics: each of their events tries the transitions, and `when` knows their fields",
+                  "topics; each of their events tries the transitions, and `when` can use their fields",
                   names_part("topic")),
-        parameter("max_age", &MachineSettings::max_age, "older values of inputs count as absent; 0 s: however old",
+        parameter("max_age", &MachineSettings::max_age, "older values of inputs count as absent; 0 s: no limit",
                   range(Duration{0}, Duration{24h * 365})),
-        parameter("start", &MachineSettings::start, "the state in which it begins", required, TextIs::recorded),
+        parameter("start", &MachineSettings::start, "the state in which the machine begins", required,
+                  TextIs::recorded),
         parameter("states", &MachineSettings::states, "all its states", required),
-        parameter("transitions", &MachineSettings::transitions, "in the order in which they are tried"),
-        parameter("resume", &MachineSettings::resume, "goes on where an earlier run of a recording left it"));
+        parameter("transitions", &MachineSettings::transitions,
+                  "the transitions, in the order in which they are tried"),
+        parameter("resume", &MachineSettings::resume,
+                  "continues in the state in which an earlier run of a recording ended"));
   }
 };
 

@@ -43,7 +43,7 @@ std::string quoted(const std::string& text, std::string_view quote) {
   return result += '"';
 }
 
-/// In a diagram of Mermaid a label ends at a line's end, and a colon, a semicolon and a number sign have a meaning.
+/// In a Mermaid diagram, a label ends at the end of the line; colon, semicolon and number sign have a special meaning.
 std::string mermaid_label(const std::string& text) {
   std::string result;
   for (const char c : text) {
@@ -98,7 +98,7 @@ std::vector<GraphFault> find_faults(const Graph& graph) {
           {Kind::unreachable, i, Graph::none, "nothing leads from the start to state `" + state.name + "`"});
     if (!is_left && !state.is_final) {
       faults.push_back({Kind::dead_end, i, Graph::none,
-                        "nothing leads out of state `" + state.name + "`; if that is meant, say that it is final"});
+                        "nothing leads out of state `" + state.name + "`; if this is intended, declare it as final"});
     }
     if (is_left && state.is_final)
       faults.push_back(
@@ -109,8 +109,7 @@ std::vector<GraphFault> find_faults(const Graph& graph) {
     for (std::size_t k = 0; k < graph.edges.size(); ++k) {
       const Graph::Edge& other = graph.edges[k];
       if (k < i && other.from == edge.from && other.to == edge.to && other.on == edge.on && other.label == edge.label) {
-        faults.push_back(
-            {Kind::duplicate, Graph::none, i, "the transition " + of_edge(graph, edge) + " is there twice"});
+        faults.push_back({Kind::duplicate, Graph::none, i, "the transition " + of_edge(graph, edge) + " exists twice"});
         break;
       }
       if (k != i && hides(other, edge, k < i)) {

@@ -98,7 +98,7 @@ class MachineNode final : public Node {
     check_use("cannot start");
     if (current_ != nullptr || going_to_ != nullptr) return;
     StateEntry& state = table_.entry(name.empty() ? std::string_view(config_.start) : name, "cannot start in");
-    if (!config_.failure.empty()) (void)table_.entry(config_.failure, "cannot have as the state after failures");
+    if (!config_.failure.empty()) (void)table_.entry(config_.failure, "cannot use as the state after failures");
     const rtdata::detail::Call call(*this);
     const LoopCore::Calling calling(loop()->runtime);
     is_busy_ = true;
@@ -176,7 +176,7 @@ class MachineNode final : public Node {
     if (waiting_ == queue_.size()) {
       ++counts_.dropped;
       return report(Errc::backlog, "an event was dropped", event >= no_event ? "of an input" : table_.events()[event],
-                    std::to_string(queue_.size()) + " wait for the end of a change already",
+                    std::to_string(queue_.size()) + " events are already waiting for the end of a change",
                     "raise fewer in one action");
     }
     queue_[(first_ + waiting_++) % queue_.size()] = {event, time};
@@ -273,7 +273,7 @@ class MachineNode final : public Node {
     return may;
   }
 
-  /// Goes to a state, and on to the failure state when an action threw.
+  /// Goes to a state, and then to the failure state if an action threw.
   void go(StateEntry& target, std::string_view cause, Time time, Duration before = Duration{0}) {
     StateEntry* to = &target;
     StateEntry* const failure = config_.failure.empty() ? nullptr : table_.find(config_.failure);
@@ -299,7 +299,7 @@ class MachineNode final : public Node {
     going_to_ = nullptr;
     arm();
   }
-  /// `before`: how long it was there already, before this machine was made.
+  /// `before`: how long it was in the state before this machine was made.
   bool arrive_in(StateEntry& to, std::string_view cause, Time time, Duration before = Duration{0}) {
     StateChange change;
     if (current_ != nullptr) {
@@ -312,7 +312,7 @@ class MachineNode final : public Node {
     going_to_ = &to;
     arrived_ = loop()->now() - before;
     for (const auto& way : to.ways) way->since.reset();
-    feed_.publish(change, time);  // before what it causes
+    feed_.publish(change, time);  // before the events that it causes
     if (!is_open()) return false;
     return call("arrive", to, [&] { to.code->arrive({time, to.name, before}); });
   }
@@ -396,7 +396,7 @@ void MachineNode::drop_callbacks() noexcept { table_.clear(); }
 
 namespace {
 
-/// Null when it is closed: then every verb does nothing.
+/// Null when it is closed: then every function does nothing.
 MachineNode* open_node(rtdata::detail::Node* node) noexcept {
   return node != nullptr && node->is_open() ? static_cast<MachineNode*>(node) : nullptr;
 }

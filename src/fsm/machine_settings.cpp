@@ -56,21 +56,21 @@ class Checker {
         add(element_of(item_, "inputs", i), "bad-value", "\"" + inputs[i] + "\" is not a topic");
       } else if (std::find(inputs.begin(), inputs.begin() + std::ptrdiff_t(i), inputs[i]) !=
                  inputs.begin() + std::ptrdiff_t(i)) {
-        add(element_of(item_, "inputs", i), "bad-value", "the topic \"" + inputs[i] + "\" is there twice");
+        add(element_of(item_, "inputs", i), "bad-value", "the topic \"" + inputs[i] + "\" is listed twice");
       }
     }
   }
   void check_states() {
     if (settings_.states.empty())
-      return add(child_or(item_, "states"), "bad-value", "a machine has at least one state");
+      return add(child_or(item_, "states"), "bad-value", "a machine needs at least one state");
     for (std::size_t i = 0; i < settings_.states.size(); ++i) {
       const std::string& name = settings_.states[i].name;
       const ConfigItem& at = child_or(element_of(item_, "states", i), "name");
       if (name.size() > max_name)
-        add(at, "bad-name", "the name of a state has at most " + std::to_string(max_name) + " bytes");
+        add(at, "bad-name", "the name of a state can have at most " + std::to_string(max_name) + " bytes");
       if (const std::string why = why_no_name(name); !why.empty()) add(at, "bad-name", why);
       if (std::find(names_.begin(), names_.end(), name) != names_.end())
-        add(at, "duplicate-name", "there is a state \"" + name + "\" already");
+        add(at, "duplicate-name", "there is already a state \"" + name + "\"");
       names_.push_back(name);
     }
     check_known(settings_.start, child_or(item_, "start"));
@@ -78,10 +78,12 @@ class Checker {
   /// Why expressions cannot use the state's name: it would mean another value.
   std::string why_no_name(const std::string& state) const {
     const std::string topic = Expression::normal_name(settings_.topic.empty() ? settings_.name : settings_.topic);
-    if (state.find('/') != std::string::npos) return "the name of a state has no `/`, which is a `.` in expressions";
-    if (state == "lasted") return "`lasted` is a field of the machine's changes: expressions could not name the state";
+    if (state.find('/') != std::string::npos)
+      return "the name of a state cannot contain `/`: expressions read it as `.`";
+    if (state == "lasted")
+      return "`lasted` is a field of the machine's changes: expressions could not refer to the state";
     if (state == topic || state.starts_with(topic + "."))
-      return "`" + topic + "` is the machine's topic: expressions could not name the state";
+      return "`" + topic + "` is the machine's topic: expressions could not refer to the state";
     return "";
   }
   void check_known(const std::string& state, const ConfigItem& at) {
@@ -96,17 +98,20 @@ class Checker {
       check_known(transition.to, child_or(at, "to"));
     }
     if (transition.event.size() > max_name) {
-      add(child_or(at, "event"), "bad-name", "the name of an event has at most " + std::to_string(max_name) + " bytes");
+      add(child_or(at, "event"), "bad-name",
+          "the name of an event can have at most " + std::to_string(max_name) + " bytes");
     }
     if (transition.hold > Duration{0} && transition.when.empty())
-      add(child_or(at, "for"), "bad-value", "`for` is how long `when` is true: give `when`, or use `after`");
+      add(child_or(at, "for"), "bad-value",
+          "`for` needs a `when`, which must be true for this long: add `when`, or use `after`");
     if (transition.hold > Duration{0} && !transition.event.empty()) {
       add(child_or(at, "for"), "bad-value",
-          "with `event`, the condition is asked once, when the event comes: leave `for` or `event` out");
+          "with `event`, the condition is tried only once, when the event comes: remove `for` or `event`");
     }
     if (!transition.when.empty()) return check_condition(transition, child_or(at, "when"));
     if (settings_.inputs.empty() && transition.event.empty() && transition.after == Duration{0})
-      add(at, "bad-value", "nothing can take this transition: the machine has no `inputs`; give it `event` or `after`");
+      add(at, "bad-value",
+          "this transition can never be taken, because the machine has no `inputs`: add `event` or `after`");
   }
   void check_condition(const TransitionSettings& transition, const ConfigItem& at) {
     const std::size_t before = problems_.size();
@@ -114,13 +119,13 @@ class Checker {
     if (problems_.size() != before) return;
     const std::vector<std::string> names = rtdata::detail::names_of({transition.when});
     if (settings_.inputs.empty() && !names.empty())
-      return add(at, "bad-value", "the machine has no `inputs` that could have `" + names[0] + "`");
+      return add(at, "bad-value", "the machine has no `inputs` that could contain `" + names[0] + "`");
     // Without names and functions the condition is constant.
     if (names.empty() && transition.when.find('(') == std::string::npos &&
         !Expression(transition.when, names).evaluate(Time{}).is_true())
       return add(at, "bad-value", "this condition is never true");
     if (!is_a_condition(transition.when) && !flag_named(transition.when))
-      add(at, "bad-value", "it is a number, no condition; compare it with something");
+      add(at, "bad-value", "it is a number, not a condition: compare it with something");
   }
   void check_graph() {
     for (const GraphFault& fault : find_faults(graph_of(settings_))) {
@@ -169,7 +174,7 @@ void check_machine_names(const MachineSettings& settings,
     const Description* const payload = payload_of(settings.inputs[field.topic]);
     const Leaf* const leaf = payload != nullptr ? rtdata::detail::leaf_named(*payload, field, *flag) : nullptr;
     if (leaf != nullptr && leaf->kind != Kind::boolean)
-      problems.add(at.problem("bad-value", "it is a number, no condition; compare it with something"));
+      problems.add(at.problem("bad-value", "it is a number, not a condition: compare it with something"));
   }
 }
 

@@ -23,7 +23,7 @@ void MachineTable::add_state(std::string name, std::unique_ptr<State> code, bool
   check_name(name, "state");
   if (code == nullptr) refuse(Errc::bad_argument, "cannot add state", name, "there is no state", "give it one");
   if (find(name) != nullptr) {
-    refuse(Errc::bad_name, "cannot add state", name, "there is one of that name already",
+    refuse(Errc::bad_name, "cannot add state", name, "a state with this name already exists",
            "remove it first, or give it another name");
   }
   states_.push_back(std::make_unique<StateEntry>(StateEntry{std::move(name), std::move(code), is_final, has_check}));
@@ -50,7 +50,7 @@ StateEntry& MachineTable::add_transition(Transition transition) {
     refuse(Errc::bad_argument, "cannot add transition", name, "a time is negative", "give 0 or more");
   if (transition.hold > Duration{0} && !transition.on.empty()) {
     refuse(Errc::bad_argument, "cannot add transition", name,
-           "`hold` with `on`: a condition is asked once with a named event", "leave one of them out");
+           "`hold` with `on`: with a named event the condition is tried only once", "remove one of them");
   }
   std::uint16_t on = any_event;
   if (!transition.on.empty()) {
@@ -108,7 +108,7 @@ StateEntry& MachineTable::entry(std::string_view name, const char* what) const {
   if (StateEntry* const found = find(name)) return *found;
   std::vector<std::string_view> names;
   for (const auto& state : states_) names.push_back(state->name);
-  refuse(Errc::not_found, what, "state " + std::string(name), "there is no state of that name",
+  refuse(Errc::not_found, what, "state " + std::string(name), "there is no state with this name",
          rtdata::detail::suggestion(name, names));
 }
 

@@ -51,10 +51,10 @@ class MachineTable {
   void remove_state(StateEntry& state);
   /// Returns the state of its start.
   StateEntry& add_transition(Transition transition);
-  /// The number of those that were removed.
+  /// Returns the number of removed transitions.
   std::size_t remove_transitions(std::string_view from, std::string_view to);
   bool has_removed() const noexcept { return has_removed_; }
-  /// Destroys what was removed.
+  /// Destroys the removed entries.
   void tidy();
   void clear() noexcept;
 
@@ -62,7 +62,7 @@ class MachineTable {
   StateEntry* find(std::string_view name) const noexcept;
   /// Throws SetupError if it does not exist; `what` names the failed action.
   StateEntry& entry(std::string_view name, const char* what) const;
-  /// any_event: no transition waits for an event of that name.
+  /// any_event: no transition waits for an event with this name.
   std::uint16_t event_number(std::string_view name) const noexcept {
     const auto found = std::find(events_.begin(), events_.end(), name);
     return found == events_.end() ? any_event : static_cast<std::uint16_t>(found - events_.begin());

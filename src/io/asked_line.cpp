@@ -50,10 +50,10 @@ Result<std::size_t> AskedLine::settle(Partner& partner, Duration silence) {
     }
     if (is_too_long)
       return Error{Errc::timed_out, "cannot ask the device", "bus " + bus_,
-                   "the answer to an earlier request may still come, or the device sends without a request",
+                   "the device may still be sending an earlier answer, or it sends without being asked",
                    "the device is asked again " +
                        to_string(std::chrono::ceil<std::chrono::milliseconds>(still_from - now)) +
-                       " from now; find out why answers come late, or what sends without being asked"};
+                       " from now; find out why answers come late, or which device sends without being asked"};
     if (*got == 0 && lane_now() >= still_from) {
       is_restless_ = false;
       return all_dropped;
@@ -79,15 +79,16 @@ Result<void> AskedLine::drop_echo(Partner& partner, std::span<const std::uint8_t
   };
   std::array<std::uint8_t, 512> bytes{};
   while (!sent.empty()) {
-    // No more than the echo: the answer may follow at once.
+    // Reads only the echo: the answer may follow at once.
     const auto got = read(partner, std::span(bytes).first(std::min(bytes.size(), sent.size())), until);
     if (!got) return got.error();
     if (*got == 0)
-      return failure(Errc::timed_out, "what was sent did not come back in " + to_string(answer_timeout_),
-                     "`echo` is for adapters that send back what they are given; check its wires");
+      return failure(Errc::timed_out, "the sent bytes did not come back within " + to_string(answer_timeout_),
+                     "set `echo` only for adapters that return what they receive; check the wires");
     if (!std::equal(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(*got), sent.begin()))
-      return failure(Errc::bad_data, "what came back is not what was sent",
-                     "check whether something else sends at the same time, the termination of the line, and `echo`");
+      return failure(
+          Errc::bad_data, "the returned bytes differ from the sent bytes",
+          "check whether another device sends at the same time; check the termination of the line, and `echo`");
     sent = sent.subspan(*got);
   }
   return {};

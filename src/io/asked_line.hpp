@@ -22,11 +22,11 @@ class AskedLine {
   /// After this time, bytes directly after an answer (a copy, a prompt, the rest of a USB packet) have arrived.
   static constexpr Duration stillness = std::chrono::milliseconds{20};
 
-  /// `has_echo`: what is sent comes back, and is dropped.
+  /// `has_echo`: sent bytes come back, and are discarded.
   AskedLine(std::string bus, std::shared_ptr<SerialTransport> transport, Duration answer_timeout, Duration timeout,
             bool has_echo);
 
-  /// Devices whose answers cannot be distinguished: all of a line, or one unit of it. The line's lock protects it.
+  /// Devices whose answers cannot be distinguished: all devices of a line, or one unit. The line's lock protects it.
   struct Partner {
     MonotonicTime asked{};          // last
     MonotonicTime heard{};          // last
@@ -38,9 +38,9 @@ class AskedLine {
   /// between two frames. Returns how many bytes were dropped. Errors: timed-out (the wait would be longer than a
   /// reading may take), and those of the transport.
   Result<std::size_t> settle(Partner& partner, Duration silence = Duration{0});
-  /// Errors, with an echo: timed-out (it does not come), bad-data (it is not what was sent).
+  /// Errors, with an echo: timed-out (it does not come), bad-data (it differs from the sent bytes).
   Result<void> write(Partner& partner, std::span<const std::uint8_t> bytes);
-  /// 0: nothing came by then.
+  /// 0: nothing came in time.
   Result<std::size_t> read(Partner& partner, std::span<std::uint8_t> bytes, MonotonicTime until);
   /// The answer is complete. `has_more`: further bytes followed.
   void answered(Partner& partner, bool has_more);
@@ -48,7 +48,7 @@ class AskedLine {
   void distrust(Partner& partner);
 
   Result<void> open() { return noted(transport_->open()); }
-  /// How often the line was lost. What was sent to set a device up is to be sent again behind the next `settle`.
+  /// How often the line was lost. The set-up of a device must then be sent again after the next `settle`.
   std::uint64_t losses();
 
  private:
@@ -59,7 +59,7 @@ class AskedLine {
     return result;
   }
   void note_loss();
-  /// After a loss: opens it, so that what a device sends at first is dropped.
+  /// After a loss: opens it, so that the first bytes that a device sends are dropped.
   Result<void> open_again();
   Duration patience() const noexcept;
   Result<void> drop_echo(Partner& partner, std::span<const std::uint8_t> sent);
@@ -67,10 +67,10 @@ class AskedLine {
   const std::string bus_;
   const std::shared_ptr<SerialTransport> transport_;
   const Duration answer_timeout_;
-  const Duration spare_;      // of a reading's time, to wait in
-  const Duration most_late_;  // that is remembered
+  const Duration spare_;      // limit for waiting within one reading
+  const Duration most_late_;  // longest delay that is remembered
   const bool has_echo_;
-  std::mutex mutex_;          // of what follows, and of partners; not while it waits
+  std::mutex mutex_;          // protects the members below, and partners; not held while it waits
   Duration longest_late_{0};  // after `answer_timeout`
   MonotonicTime last_use_{};
   bool is_restless_ = false;  // bytes came without a request

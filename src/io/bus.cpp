@@ -48,7 +48,7 @@ std::shared_ptr<void> Bus::claim(const std::string& place) {
   const std::lock_guard lock(places_->mutex);
   if (std::exchange(places_->all[place].is_claimed, true)) {
     throw SetupError({Errc::busy, "cannot use this place of a bus", "bus " + name_ + ", " + place,
-                      "another sensor has it", "two sensors cannot use one chip; give each its own chip"});
+                      "another sensor has it", "give each sensor its own chip"});
   }
   return {nullptr, [places = places_, place](void*) {
             const std::lock_guard lock_(places->mutex);

@@ -59,7 +59,7 @@ struct Start {
   int terminal, input, output, errors, failed;
 };
 
-/// In the new process, which shares the memory of this one until it is another program: calls of the system only.
+/// In the new process, which shares the memory of this one until it runs another program: only system calls.
 [[noreturn]] void become(const Start& start) {
   struct sigaction usual {};
   usual.sa_handler = SIG_DFL;
@@ -73,7 +73,8 @@ struct Start {
   std::memset(&all, 0xff, sizeof all);
   ::sched_setaffinity(0, sizeof all, &all);
   if (::dup2(start.input, 0) >= 0 && ::dup2(start.output, 1) >= 0 && ::dup2(start.errors, 2) >= 0) {
-    ::syscall(SYS_close_range, 3U, ~0U, 1U << 2);  // closed on exec; an older kernel has O_CLOEXEC of each
+    ::syscall(SYS_close_range, 3U, ~0U,
+              1U << 2);  // closed on exec; with an older kernel by O_CLOEXEC of each descriptor
     sigset_t empty;
     ::sigemptyset(&empty);
     ::sigprocmask(SIG_SETMASK, &empty, nullptr);
@@ -86,13 +87,13 @@ struct Start {
 
 /// The pages of a large program are not copied; this thread waits until the new process is another program.
 [[gnu::noinline]] pid_t spawn(const Start& start) {
-  const pid_t pid = ::vfork();  // a fork where the thread sanitizer is in: nothing may rely on the shared memory
+  const pid_t pid = ::vfork();  // a fork with the thread sanitizer: nothing may rely on the shared memory
   if (pid == 0) become(start);
   return pid;
 }
 
-/// What the new process could not do, or 0: its side of the pipe is closed when it is another program. Another process
-/// of this one may hold that side, too, so that the end is not waited for without a limit.
+/// The errno of the new process, or 0: its side of the pipe is closed when it runs another program. Another child
+/// process may also hold that side, so the wait for its end has a limit.
 int failure_of_start(int pipe) {
   int error_number = 0;
   const auto has_failed = [&] {
@@ -108,7 +109,7 @@ int failure_of_start(int pipe) {
   return has_failed() ? error_number : 0;
 }
 
-/// Blocks. Not yet reaped, so that the number of the process is nobody else's.
+/// Blocks. The process is not yet reaped, so that its number is not used again.
 void finish(const Child& child) noexcept {
   struct pollfd ended {
     child.ended, POLLIN, 0
@@ -118,8 +119,8 @@ void finish(const Child& child) noexcept {
     }
   };
   wait();
-  ::kill(-child.pid, SIGKILL);  // also what it has started
-  wait();                       // in vain if its disk hangs
+  ::kill(-child.pid, SIGKILL);  // also the processes that it has started
+  wait();                       // has no effect if its disk hangs
   ::waitpid(child.pid, nullptr, WNOHANG);
   for (const int fd : {child.output, child.errors, child.terminal, child.ended})
     if (fd >= 0) ::close(fd);
@@ -169,9 +170,10 @@ class Endings {
 Result<Child> start_child(const std::vector<std::string>& run, ChildPrints prints) {
   const bool prints_to_terminal = prints != ChildPrints::to_pipe, is_asked = prints == ChildPrints::answers;
   const auto failure = [&](int error_number) {
-    return system_error(
-        error_number, what, run.front(),
-        error_number == ENOENT ? "check the first word of `run`: it is a program, not a shell's line" : "check `run`");
+    return system_error(error_number, what, run.front(),
+                        error_number == ENOENT
+                            ? "check the first word of `run`: it must be a program, not a line of shell commands"
+                            : "check `run`");
   };
   Descriptor master, slave, read_output, write_output, read_errors, write_errors, read_failed, write_failed;
   const Descriptor input(::open("/dev/null", O_RDONLY | O_CLOEXEC));

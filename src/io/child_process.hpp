@@ -1,4 +1,4 @@
-// A program of the user's own, in a session of its own.
+// A program of the user, in its own session.
 #pragma once
 
 #include <sys/types.h>
@@ -28,7 +28,7 @@ enum class ChildPrints {
 Result<Child> start_child(const std::vector<std::string>& run, ChildPrints prints);
 
 /// Sends SIGTERM to the process group, SIGKILL when the program has ended or after 2 s, and closes the descriptors. A
-/// thread of its own waits for that; the end of this program waits for the thread.
+/// separate thread waits for this; the end of this program waits for the thread.
 void end_child(const Child& child) noexcept;
 
 /// True if it has ended with status 0.

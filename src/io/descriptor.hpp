@@ -14,7 +14,7 @@ class Descriptor {
   Descriptor(const Descriptor&) = delete;
   Descriptor& operator=(const Descriptor&) = delete;
   ~Descriptor() { set(-1); }
-  /// Closes the one before.
+  /// Closes the previous descriptor.
   void set(int fd) noexcept {
     if (const int before = std::exchange(fd_, fd); before >= 0) ::close(before);
   }

@@ -24,7 +24,7 @@ constexpr std::array<Enabling, 6> all{{
     {"/dev/ttyAMA",
      "switch the serial port on, and the login on it off: on a Raspberry Pi `sudo raspi-config nonint do_serial_hw 0` "
      "and `sudo raspi-config nonint do_serial_cons 1`, then reboot"},
-    {"/dev/pps", "a line `dtoverlay=pps-gpio,gpiopin=18` in /boot/firmware/config.txt, then reboot"},
+    {"/dev/pps", "add a line `dtoverlay=pps-gpio,gpiopin=18` to /boot/firmware/config.txt, then reboot"},
     {"/sys/bus/w1",
      "switch 1-Wire on: on a Raspberry Pi a line `dtoverlay=w1-gpio` in /boot/firmware/config.txt, then "
      "reboot"},

@@ -57,7 +57,7 @@ std::string chips_listed(const std::vector<GpioChipInfo>& chips) {
   return text;
 }
 
-/// None: it is no number.
+/// Empty: it is not a number.
 std::optional<unsigned> number_of(std::string_view text) {
   unsigned number = 0;
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number);
@@ -82,12 +82,12 @@ class Finder {
 
   Result<Place> find() const {
     if (chips_.empty())
-      return error(Errc::not_found, "this machine has no GPIO chip", "`ls /dev/gpiochip*` shows them");
+      return error(Errc::not_found, "this machine has no GPIO chip", "check with `ls /dev/gpiochip*`");
     std::vector<const GpioChipInfo*> among;
     for (const GpioChipInfo& one : chips_)
       if (chip_.empty() || is_named(one, chip_)) among.push_back(&one);
     if (among.empty())
-      return error(Errc::not_found, "there is no chip " + chip_ + ", but " + chips_listed(chips_),
+      return error(Errc::not_found, "there is no chip " + chip_ + "; available: " + chips_listed(chips_),
                    "set `chip` to one of these");
     if (among.size() > 1 && !chip_.empty())
       return error(Errc::bad_argument, "several chips are called " + chip_ + ": " + chips_listed(chips_),
@@ -139,9 +139,10 @@ class Finder {
     }
     if (!found) {
       std::string hint = detail::suggestion(line_, names);
-      return error(Errc::not_found,
-                   names.empty() ? "the lines have no names here: " + chips_listed(chips_) : "no line has this name",
-                   names.empty() ? "give its number, such as \"gpiochip0:17\"" : hint + "; " + list_advice);
+      return error(
+          Errc::not_found,
+          names.empty() ? "the lines of this machine have no names: " + chips_listed(chips_) : "no line has this name",
+          names.empty() ? "give its number, such as \"gpiochip0:17\"" : hint + "; " + list_advice);
     }
     if (is_ambiguous)
       return error(Errc::bad_argument, "several lines have this name: " + places, "write one of these instead");
@@ -178,8 +179,8 @@ Error refusal_of(int error_number, GpioBackend& backend, const Place& place) {
     case ENXIO:
     case EOPNOTSUPP:
     case 524:  // ENOTSUPP, the kernel's own
-      return {Errc::bad_argument, cannot_use_line, place.text(), "its chip cannot do that",
-              "a chip may lack resistors (`bias`), interrupts (edges), or reading of outputs"};
+      return {Errc::bad_argument, cannot_use_line, place.text(), "the chip does not support this",
+              "check the chip: some have no resistors (`bias`) or interrupts (edges), or cannot read outputs"};
     default:
       return detail::gpio_failure(error_number, cannot_use_line, place.text());
   }

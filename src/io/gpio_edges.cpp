@@ -80,7 +80,7 @@ class GpioEdgesNode final : public Node {
     Call call(*this);
     take_some(has_hung_up);
   }
-  /// False: there were no more, or it has ended.
+  /// False: there were no more edges, or it has ended.
   bool take_some(bool has_hung_up) {
     std::array<GpioRawEdge, most_read> edges;
     const int got = request_->read(edges);
@@ -97,15 +97,15 @@ class GpioEdgesNode final : public Node {
     }
     if (counts_.lost != lost_before) {
       tell({Errc::backlog, "edges are lost", place_,
-            std::to_string(counts_.lost - lost_before) + " came faster than they were read",
-            "let nothing hold this loop, give it a tier of its own, or set `debounce`"});
+            std::to_string(counts_.lost - lost_before) + " edges came faster than they were read",
+            "find what holds the loop, move the sensor to its own tier, or set `debounce`"});
     } else if (const std::size_t kept = backend_->kept_edges();
                !backend_->numbers_edges() && kept != 0 && count >= kept && !software_debounce_) {
       ++counts_.overflows;
       tell({Errc::backlog, "edges may be lost", place_,
-            "the kernel's store of " + std::to_string(kept) +
-                " was full, and libgpiod 1 does not say how many it dropped",
-            "let nothing hold this loop, give it a tier of its own, or use libgpiod 2"});
+            "the kernel's buffer for " + std::to_string(kept) +
+                " edges was full, and libgpiod 1 does not report how many it dropped",
+            "find what holds the loop, move the sensor to its own tier, or use libgpiod 2"});
     }
     return count == edges.size() || (count != 0 && count == backend_->kept_edges());
   }

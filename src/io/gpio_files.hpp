@@ -10,7 +10,7 @@
 
 namespace rtdata::detail {
 
-/// "/dev/gpiochip0" and so on, by number. Links are left out: they stand for chips that are there.
+/// "/dev/gpiochip0" and so on, by number, without links, which lead to chips that are listed.
 inline std::vector<std::string> gpio_chip_files() {
   std::vector<std::string> files;
   DIR* const folder = ::opendir("/dev");

@@ -34,7 +34,7 @@ class Request final : public GpioRequest {
   int set(bool value) noexcept override { return gpiod_line_set_value(line_, value ? 1 : 0) < 0 ? errno : 0; }
   int descriptor() const noexcept override { return fd_; }
   int read(std::span<GpioRawEdge> edges) noexcept override {
-    // As the kernel gives them: libgpiod's timespec is another one than ours on systems of 32 bits.
+    // As the kernel gives them: on 32-bit systems, libgpiod's timespec differs from ours.
     std::array<gpioevent_data, kept> events;
     const ssize_t got = ::read(fd_, events.data(), sizeof events[0] * std::min(events.size(), edges.size()));
     if (got < 0) return errno == EAGAIN || errno == EINTR ? 0 : -errno;

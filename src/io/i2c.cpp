@@ -20,10 +20,10 @@ std::string mistake_in(I2cAddress address) {
   const unsigned number = address.number;
   if (number >= I2cAddress::first && number <= I2cAddress::last) return "";
   if (number > 0x7f && number <= 0xff && number / 2 >= I2cAddress::first && number / 2 <= I2cAddress::last)
-    return to_string(address) + " is an address of 8 bits, with the read/write bit; the address of 7 bits is " +
+    return to_string(address) + " is an 8-bit address, with the read/write bit; the 7-bit address is " +
            to_string(I2cAddress(number / 2));
-  if (number == 0) return "the address of the chip is missing: such as 0x76";
-  return to_string(address) + " is not an address of 7 bits for a chip: 0x08 to 0x77";
+  if (number == 0) return "the address of the chip is missing, such as 0x76";
+  return to_string(address) + " is not a 7-bit address of a chip (0x08 to 0x77)";
 }
 
 bool ConfigValue<I2cAddress>::read(const ConfigItem& item, I2cAddress& out, Problems& problems) {
@@ -54,16 +54,16 @@ Error I2cDevice::failure(int errno_value) const {
       return error(Errc::disconnected, what, "nothing acknowledges this address",
                    "check its wires and its supply; `i2cdetect -y` shows who answers");
     case ETIMEDOUT:
-      return error(Errc::timed_out, what, "the adapter waited for the bus in vain",
+      return error(Errc::timed_out, what, "the adapter could not get the bus",
                    "a chip may hold SCL or SDA: switch it off and on");
     case EAGAIN:
       return error(Errc::busy, what, "arbitration was lost", "another master is on the bus");
     case EBUSY:
-      return error(Errc::busy, what, "a driver of the kernel has it",
-                   "use what that offers (`analog`, `host`), or unbind it in /sys/bus/i2c/drivers");
+      return error(Errc::busy, what, "a kernel driver uses the chip",
+                   "read it through that driver (`analog`, `host`), or unbind the driver in /sys/bus/i2c/drivers");
     case EOPNOTSUPP:
-      return error(Errc::bad_argument, what, "the adapter can do SMBus only, which has no such transfer",
-                   "an adapter with I2C is needed for this chip");
+      return error(Errc::bad_argument, what, "the adapter supports only SMBus, which has no such transfer",
+                   "use an adapter with full I2C for this chip");
     default:
       break;
   }

@@ -14,7 +14,7 @@ std::string identity_text(std::uint32_t identity) { return to_string(I2cAddress(
 bool ConfigValue<IdentityCode>::read(const ConfigItem& item, IdentityCode& out, Problems& problems) {
   if (!detail::read_code(item, out.number, "an identity: write it as \"0x98\"", problems)) return false;
   if (out.number <= IdentityCode::last) return true;
-  problems.add(item.problem("bad-value", identity_text(out.number) + " is more than the identity of any chip"));
+  problems.add(item.problem("bad-value", identity_text(out.number) + " is larger than the identity of any chip"));
   return false;
 }
 void ConfigValue<IdentityCode>::write(IdentityCode value, ConfigItem& item) { item.set(identity_text(value.number)); }
@@ -33,12 +33,12 @@ Result<void> check_identity_setting(const KnownChip& known, const std::optional<
     return Error{Errc::bad_argument, "cannot use this identity", "identity", std::move(why), std::move(advice)};
   };
   const std::string name(known.name);
-  if (!known.identity) return refused("the " + name + " has no register that tells its identity", "leave it out");
+  if (!known.identity) return refused("the " + name + " has no identity register", "remove it");
   const std::uint32_t mask = known.identity->mask;
   if ((word->number & ~mask) == 0) return {};
-  return refused(identity_text(word->number) + " has bits that are none of the identity of " + with_article(name) +
-                     ", which are those of " + identity_text(mask),
-                 "take the one that the error of the refused chip names");
+  return refused(identity_text(word->number) + " has bits outside the identity of " + with_article(name) +
+                     ", which has the bits " + identity_text(mask),
+                 "set the identity from the error message of the refused chip");
 }
 
 std::string identity_by_word(const KnownChip& known, const std::optional<IdentityCode>& word) {
@@ -60,12 +60,12 @@ std::optional<detail::IdentityRefusal> detail::identity_refusal(const KnownChip&
   const std::string usual = "that of " + name + " is " + identity_text(identity.value);
   if (!word) {
     refusal.why += ", " + usual;
-    // What registers read without a chip is no clone.
+    // Values that registers read without a chip are not a clone.
     if (found != 0 && !is_all_ones(identity, found))
       refusal.clone = "; if it is a clone that you trust, set `identity` to " + text;
   } else {
     refusal.why += ", `identity` says " + identity_text(wanted) + " (" + usual + ")";
-    if (identity.is_of(found)) refusal.advice = "leave `identity` out";
+    if (identity.is_of(found)) refusal.advice = "remove `identity`";
     refusal.clone = ", and `identity`";
   }
   return refusal;

@@ -119,7 +119,7 @@ Result<IioDevice> IioDevice::find(const std::string& which, const std::string& r
   }
   if (found.empty()) {
     return Error{Errc::not_found, cannot_find, where,
-                 known.empty() ? "this machine has none" : "there are " + detail::listed(known),
+                 known.empty() ? "this machine has no IIO device" : "available: " + detail::listed(known),
                  "`device` is a name, label, number or path; a driver makes it: `dmesg`, docs/iio.md"};
   }
   if (found.size() > 1) {

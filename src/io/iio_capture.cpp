@@ -78,8 +78,8 @@ Result<IioCapture> IioCapture::open(const IioDevice& device, const IioCaptureCon
 Result<void> IioCapture::set_up(const IioCaptureConfig& config) {
   const IioDevice& device = *device_;
   if (!device.has_buffer()) {
-    return Error{Errc::not_found, cannot_capture, device.text(), "its driver has none",
-                 "read its channels one by one: type \"iio\""};
+    return Error{Errc::not_found, cannot_capture, device.text(), "its driver has no buffer",
+                 "read its channels one by one, with the type \"iio\""};
   }
   fd_ = ::open(device.node().c_str(), O_RDONLY | O_NONBLOCK | O_CLOEXEC);
   if (fd_ < 0) {
@@ -101,7 +101,7 @@ Result<void> IioCapture::set_up(const IioCaptureConfig& config) {
     // No program has the device open, otherwise opening would have failed: the program that enabled it was killed, or
     // is a script.
     if (auto off = device.set_attribute("buffer/enable", "0"); !off) return off;
-    notes_.push_back("the buffer was on, and no program had it open: it was turned off and is used");
+    notes_.push_back("the buffer was on, but no program had it open: it was turned off, and is now used");
   }
   if (auto done = set_trigger(config.trigger); !done) return done;
   if (device.has_attribute("current_timestamp_clock")) {
@@ -121,8 +121,8 @@ Result<void> IioCapture::set_trigger(const std::string& wanted) {
   for (const Trigger& one : all) names.push_back(one.name);
   if (!device.has_attribute("trigger/current_trigger")) {
     if (wanted.empty()) return {};
-    return Error{Errc::bad_argument, cannot_capture, device.text(), "it measures by itself and takes no trigger",
-                 "leave `trigger` out"};
+    return Error{Errc::bad_argument, cannot_capture, device.text(), "it measures by itself and needs no trigger",
+                 "remove `trigger`"};
   }
   const auto current = device.attribute("trigger/current_trigger");
   if (!current) return current.error();
@@ -140,7 +140,7 @@ Result<void> IioCapture::set_trigger(const std::string& wanted) {
   if (name != *current) {
     if (auto done = device.set_attribute("trigger/current_trigger", name); !done) {
       Error error = std::move(done).error();
-      error.advice = "this device does not take trigger " + name;
+      error.advice = "choose another `trigger`: this device does not accept " + name;
       return error;
     }
   }
@@ -158,12 +158,12 @@ Result<void> IioCapture::set_channels(const IioCaptureConfig& config) {
     if (!channel) return channel.error();
     if (!channel->storage) {
       return Error{Errc::not_found, cannot_capture, device.text(), "channel " + name + " is not in its buffer",
-                   "read it by itself: type \"iio\""};
+                   "read it with the type \"iio\""};
     }
     if (channel->storage->repeat != iio_values(name)) {
       return Error{Errc::bad_argument, cannot_capture, device.text(),
-                   "channel " + name + " is of " + std::to_string(channel->storage->repeat) + " values",
-                   "leave it out"};
+                   "channel " + name + " has " + std::to_string(channel->storage->repeat) + " values",
+                   "remove this channel"};
     }
     const auto conversion = device.scan_conversion(*channel);
     if (!conversion) return conversion.error();
@@ -195,7 +195,7 @@ Result<void> IioCapture::set_channels(const IioCaptureConfig& config) {
       if (is_on != (*to == '1')) continue;
       if (auto done = switched("scan_elements/" + file, to); !done) {
         Error error = std::move(done).error();
-        if (is_on) error.advice = "the chip may not be able to measure these channels together";
+        if (is_on) error.advice = "choose fewer `channels`: the chip may not be able to measure these together";
         return error;
       }
     }
@@ -244,9 +244,10 @@ Result<void> IioCapture::set_rate(Rate rate) {
   }
   if (file.empty()) {
     if (!rate) return {};
-    return Error{Errc::bad_argument, cannot_capture, device.text(), "neither it nor its trigger has a rate to set",
+    return Error{Errc::bad_argument, cannot_capture, device.text(),
+                 "neither the device nor its trigger has a rate to set",
                  trigger_.empty() ? "give it a `trigger` that has one"
-                                  : "leave `rate` out: trigger " + trigger_ + " fires when it likes"};
+                                  : "remove `rate`: trigger " + trigger_ + " has no rate to set"};
   }
   const auto number = [&]() -> double {
     const auto text = detail::read_kernel_file(file, cannot_capture);
@@ -263,10 +264,11 @@ Result<void> IioCapture::set_rate(Rate rate) {
     if (!done || !is_set()) {
       const auto available = device.attribute("sampling_frequency_available");
       const double now = number();
-      return Error{Errc::out_of_range, cannot_capture, file,
-                   hertz(rate.hertz()) + " is refused" +
-                       (now > 0 && done ? ": it does " + hertz(now) : std::string(done ? "" : ": " + done.error().why)),
-                   available ? "it can do " + *available : "change `rate`"};
+      return Error{
+          Errc::out_of_range, cannot_capture, file,
+          hertz(rate.hertz()) + " was refused" +
+              (now > 0 && done ? ": the rate is " + hertz(now) : std::string(done ? "" : ": " + done.error().why)),
+          available ? "choose one of its rates: " + *available : "change `rate`"};
     }
   }
   frequency_ = number();
@@ -289,7 +291,7 @@ Result<void> IioCapture::enable(const IioCaptureConfig& config) {
   Error error = on.error();
   error.what = cannot_capture;
   if (error.code == Errc::busy) {
-    error.why = "another program, or another driver of the kernel, uses the device";
+    error.why = "another program or kernel driver uses the device";
     error.advice = "`sudo fuser -v " + device.node() + "` names a program";
   } else if (device.has_attribute("trigger/current_trigger") && trigger_.empty()) {
     error.why = "it has no trigger (" + error.why + ")";
@@ -307,7 +309,7 @@ Result<std::size_t> IioCapture::read(std::span<std::byte> to) {
   const int number = got < 0 ? errno : ENODEV;
   if (number == EAGAIN || number == EINTR) return std::size_t{0};
   if (number == ENODEV) {
-    return Error{Errc::disconnected, "lost the IIO device", device_->text(), "it has gone away",
+    return Error{Errc::disconnected, "lost the IIO device", device_->text(), "the device is gone",
                  "check its wires; it is opened again when it is back"};
   }
   return system_error(number, "lost the IIO device", device_->text(), "it is opened again");

@@ -52,23 +52,24 @@ Result<IioStorage> parse_iio_storage(std::string_view text) {
   storage.is_big_endian = text.starts_with("be:");
   if (!take(text, "be:") && !take(text, "le:")) return refused("it begins with neither le: nor be:");
   storage.is_signed = text.starts_with('s');
-  if (!take(text, "s") && !take(text, "u")) return refused("it is neither s nor u");
+  if (!take(text, "s") && !take(text, "u")) return refused("it has neither s nor u");
   if (!take_number(text, storage.bits) || !take(text, "/") || !take_number(text, storage.storage_bits))
     return refused("it does not say how many bits there are");
-  if (take(text, "X") && !take_number(text, storage.repeat)) return refused("it does not say how many there are");
-  // Old kernels leave the shift out.
+  if (take(text, "X") && !take_number(text, storage.repeat))
+    return refused("it does not say how many values there are");
+  // Old kernels omit the shift.
   if (take(text, ">>") && !take_number(text, storage.shift)) return refused("it does not say by how much to shift");
   if (!text.empty()) return refused("something follows");
   const unsigned room = storage.storage_bits;
-  if (room != 8 && room != 16 && room != 32 && room != 64) return refused("storage is of 8, 16, 32 or 64 bits");
+  if (room != 8 && room != 16 && room != 32 && room != 64) return refused("a value is stored in 8, 16, 32 or 64 bits");
   if (storage.bits == 0 || storage.bits + storage.shift > room) return refused("its bits do not fit the storage");
-  if (storage.repeat == 0 || storage.repeat > 64) return refused("there are 1 to 64");
+  if (storage.repeat == 0 || storage.repeat > 64) return refused("it can have 1 to 64 values");
   return storage;
 }
 
 Result<IioLayout> IioLayout::make(std::vector<Channel> channels) {
   const auto refused = [](const Channel& channel, const char* why) {
-    return Error{Errc::bad_data, cannot_decode, "the channel of index " + std::to_string(channel.index), why, ""};
+    return Error{Errc::bad_data, cannot_decode, "the channel with index " + std::to_string(channel.index), why, ""};
   };
   std::sort(channels.begin(), channels.end(), [](const Channel& a, const Channel& b) { return a.index < b.index; });
   IioLayout layout;
@@ -77,11 +78,11 @@ Result<IioLayout> IioLayout::make(std::vector<Channel> channels) {
     const Channel& channel = channels[i];
     const IioStorage& storage = channel.storage;
     const std::size_t size = storage.size();
-    if (i > 0 && channels[i - 1].index == channel.index) return refused(channel, "there are two of this index");
+    if (i > 0 && channels[i - 1].index == channel.index) return refused(channel, "two channels have this index");
     if (storage.bits == 0 || storage.bits + storage.shift > storage.storage_bits || !std::has_single_bit(size))
       return refused(channel, "kernels differ in how they align elements of this size");
     if (channel.is_timestamp && (storage.storage_bits != 64 || storage.repeat != 1))
-      return refused(channel, "times are one number of 64 bits");
+      return refused(channel, "a time must be one 64-bit number");
     at = aligned(at, size);
     const bool is_native = storage.is_big_endian == (std::endian::native == std::endian::big);
     if (channel.is_timestamp) {

@@ -14,7 +14,7 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr const char* who_may = "`ls -l` shows who may; run as such a user, or add a udev rule (docs/iio.md)";
+constexpr const char* who_may = "run as a user that may use it (`ls -l` shows which), or add a udev rule (docs/iio.md)";
 
 Error failure(int number, const char* what, const std::string& path) {
   if (number == ENODEV)

@@ -35,7 +35,8 @@ Result<void> LoadedLibrary::load() {
     *function.address = ::dlsym(handle, function.name);
     if (*function.address != nullptr) continue;
     ::dlclose(handle);
-    return refuse(std::string(" is older than what this was built with: it has no function ") + function.name);
+    return refuse(std::string(" is older than the version that this program was built with: it has no function ") +
+                  function.name);
   }
   handle_.store(handle, std::memory_order_release);
   return {};

@@ -34,7 +34,7 @@ namespace {
 constexpr const char* cannot_ask = "cannot read the device";
 constexpr unsigned last_unit = 255;
 
-/// Why a bus cannot be made of it; empty: it can.
+/// Why a bus cannot be made from it; empty: it can.
 struct Mistake {
   const char* key = "";
   std::string why = {};
@@ -45,25 +45,24 @@ Mistake mistake_in(const ModbusConfig& config) {
   if (!config.device.empty() && !config.host.empty())
     return {"host", "there is a `device` too; a bus is a serial line (RTU) or a server (TCP)"};
   if (config.rtu_over_tcp && config.host.empty())
-    return {"rtu_over_tcp", "only a connection (`host`) has it; a serial line always has RTU"};
+    return {"rtu_over_tcp", "it works only with `host`; a serial line always uses RTU"};
   if (config.echo && config.device.empty() && !config.rtu_over_tcp)
-    return {"echo", "Modbus TCP has no echo; only RTU has one, on a serial line or with `rtu_over_tcp`"};
+    return {"echo", "Modbus TCP has no echo: `echo` works only with RTU, on a serial line or with `rtu_over_tcp`"};
   if (!config.host.empty()) {
     const SerialSettings& serial = config.serial;
     for (const auto& [key, is_set] : {std::pair("dtr", serial.dtr.has_value()),
                                       {"rts", serial.rts.has_value()},
                                       {"hangup", serial.hangup},
                                       {"rs485", serial.rs485.has_value()}})
-      if (is_set) return {key, "only a serial line (`device`) has it; a connection has none"};
+      if (is_set) return {key, "it works only with a serial line (`device`)"};
   }
   if (!config.device.empty() && config.serial.character_size != 8)
-    return {"character_size", std::to_string(config.serial.character_size) +
-                                  " bits hold no byte, which RTU sends; Modbus ASCII, which has 7, is not there"};
+    return {"character_size", "Modbus RTU needs 8 bits per character, not " +
+                                  std::to_string(config.serial.character_size) + "; Modbus ASCII is not supported"};
   if (config.answer_timeout >= config.timeout)
     return {"answer_timeout", "it is " + to_string(config.answer_timeout) + ", and a reading is given up after " +
                                   to_string(config.timeout) + ": make `timeout` longer"};
-  if (config.connect_delay > Duration{0} && config.host.empty())
-    return {"connect_delay", "only connections (`host`) are waited for; a serial line has none"};
+  if (config.connect_delay > Duration{0} && config.host.empty()) return {"connect_delay", "it works only with `host`"};
   if (config.connect_delay >= config.timeout - config.answer_timeout)
     return {"connect_delay",
             "with `answer_timeout` it is longer than `timeout`, after which a reading is given up: make "
@@ -84,7 +83,7 @@ void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& 
   problems.add((at != nullptr ? *at : item).problem("bad-value", mistake.why));
 }
 
-/// A function, and what belongs to it.
+/// A function code and its data.
 class ModbusDevice::Request {
  public:
   Request(std::uint8_t function, std::uint16_t first, std::size_t number) {
@@ -128,7 +127,7 @@ struct ModbusDevice::Core {
   };
   using Use = std::shared_ptr<Connection>;
 
-  /// `line`: of RTU; null: a connection.
+  /// `line`: for RTU; null: a TCP connection.
   Core(std::string bus_, ModbusConfig config_, std::shared_ptr<SerialTransport> line)
       : bus(std::move(bus_)), config(std::move(config_)) {
     if (line != nullptr) {
@@ -174,7 +173,7 @@ struct ModbusDevice::Core {
   const std::string bus;
   const ModbusConfig config;
   std::optional<detail::ModbusRtu> rtu;
-  std::mutex mutex;  // of what follows; not while it connects or asks
+  std::mutex mutex;  // protects the members below; not held while it connects or asks
   Use connection;
 };
 
@@ -192,30 +191,29 @@ Error ModbusDevice::failure(int number) const {
     case EMBXILFUN:
       return exception(
           Errc::bad_argument, "illegal function",
-          "the device has no such `table`: its document says which function codes it knows (holding 3, input 4, "
-          "coil 1, discrete 2)");
+          "change `table`: the manual of the device lists its function codes (holding 3, input 4, coil 1, discrete 2)");
     case EMBXILADD:
-      return exception(
-          Errc::bad_argument, "illegal data address",
-          "the device does not have all of these addresses; documents that count from 1, or from 40001, mean one less");
+      return exception(Errc::bad_argument, "illegal data address",
+                       "check `address`: if the manual counts from 1 or from 40001, it is one less than there");
     case EMBXILVAL:
       return exception(
           Errc::bad_argument, "illegal data value",
-          "the device does not give so many registers at a time: set `gap` to 0, or divide `fields` among sensors");
+          "set `gap` to 0, or divide `fields` among sensors: the device may allow fewer registers in one request");
     case EMBXSFAIL:
       return exception(Errc::io_failed, "server device failure",
-                       "the device failed while it prepared the answer: its display or log may say more");
+                       "look at the display or the log of the device: it failed while it prepared the answer");
     case EMBXACK:
-      return exception(Errc::busy, "acknowledge", "the device needs more time: lower `rate`");
+      return exception(Errc::busy, "acknowledge", "lower `rate`: the device needs more time");
     case EMBXSBUSY:
-      return exception(Errc::busy, "server device busy", "lower `rate`, or find out who else asks the device");
+      return exception(Errc::busy, "server device busy",
+                       "lower `rate`, or find out which other program reads the device");
     case EMBXNACK:
-      return exception(Errc::io_failed, "negative acknowledge", "its manual says what it needs first");
+      return exception(Errc::io_failed, "negative acknowledge", "read in its manual what it needs first");
     case EMBXMEMPAR:
-      return exception(Errc::io_failed, "memory parity error", "its memory is damaged: it may need service");
+      return exception(Errc::io_failed, "memory parity error", "have the device checked: its memory is damaged");
     case EMBXGPATH:
       return exception(Errc::disconnected, "gateway path unavailable",
-                       "the gateway has no way to this unit: check `unit` and its settings");
+                       "check `unit` and the settings of the gateway: it has no path to this unit");
     case EMBXGTAR:
       return exception(Errc::timed_out, "gateway target device failed to respond",
                        "check the device behind the gateway");
@@ -223,22 +221,23 @@ Error ModbusDevice::failure(int number) const {
       return error(Errc::bad_data, cannot_ask, "the checksum of its answer is wrong",
                    "check the wires, their termination, `baud_rate` and `parity`");
     case EMBBADSLAVE:
-      return error(Errc::bad_data, cannot_ask, "another unit answers",
-                   "check whether two devices have this address, or answer later than `answer_timeout`");
+      return error(
+          Errc::bad_data, cannot_ask, "another unit answers",
+          "check whether two devices have this address, or whether a device answers later than `answer_timeout`");
     case detail::modbus_echo:
       return error(Errc::bad_data, cannot_ask, "it echoes the request",
                    "switch off the echo of the adapter (many have a jumper for it) or set `echo`, and check its wires");
     case detail::modbus_incomplete:
       return error(Errc::timed_out, cannot_ask,
-                   "its answer was not complete in " + to_string(core_->config.answer_timeout),
+                   "its answer was not complete within " + to_string(core_->config.answer_timeout),
                    "check the wires and `baud_rate`; make `answer_timeout` longer if the device is slow");
     case EMBBADDATA:
     case EMBUNKEXC:
       return error(Errc::bad_data, cannot_ask, modbus_strerror(number),
-                   core_->rtu ? "check the wires, `baud_rate` and `parity`, and who else is on the line"
+                   core_->rtu ? "check the wires, `baud_rate` and `parity`, and which other devices are on the line"
                               : "check whether that server speaks Modbus");
     case ETIMEDOUT:
-      return error(Errc::timed_out, cannot_ask, "no answer in " + to_string(core_->config.answer_timeout),
+      return error(Errc::timed_out, cannot_ask, "no answer within " + to_string(core_->config.answer_timeout),
                    core_->rtu ? "check the device, its wires, `unit`, `baud_rate` and `parity`"
                               : "check the device, and `unit`");
     case EIO:
@@ -287,7 +286,7 @@ Result<void> ModbusDevice::ask_by_tcp(const Request& request, Take&& take) {
   }
 }
 
-/// `take` gets the answer: its function and what belongs to that.
+/// `take` gets the answer: the function code and its data.
 template <class Take>
 Result<void> ModbusDevice::ask(const Request& request, Take&& take) {
   if (is_abandoned()) return error(Errc::closed, cannot_ask, "this reading was given up before");
@@ -316,8 +315,8 @@ Result<void> ModbusDevice::read_registers(ModbusTable table, std::uint16_t first
   const bool is_holding = table == ModbusTable::holding;
   if (words.empty() || words.size() > most_registers || first + words.size() > 65536 ||
       (!is_holding && table != ModbusTable::input))
-    return error(Errc::bad_argument, cannot_ask, "these are no registers that can be read at a time",
-                 "up to 125, of the holding or the input registers, up to address 65535");
+    return error(Errc::bad_argument, cannot_ask, "these registers cannot be read in one request",
+                 "read at most 125 holding or input registers, up to address 65535");
   const auto take = [&](const std::uint8_t* answer) {
     for (std::size_t i = 0; i < words.size(); ++i)
       words[i] = static_cast<std::uint16_t>(answer[2 + 2 * i] << 8 | answer[3 + 2 * i]);
@@ -329,8 +328,8 @@ Result<void> ModbusDevice::read_bits(ModbusTable table, std::uint16_t first, std
   const bool is_coil = table == ModbusTable::coil;
   if (bits.empty() || bits.size() > most_bits || first + bits.size() > 65536 ||
       (!is_coil && table != ModbusTable::discrete))
-    return error(Errc::bad_argument, cannot_ask, "these are no bits that can be read at a time",
-                 "up to 2000, of the coils or the discrete inputs, up to address 65535");
+    return error(Errc::bad_argument, cannot_ask, "these bits cannot be read in one request",
+                 "read at most 2000 coils or discrete inputs, up to address 65535");
   const auto take = [&](const std::uint8_t* answer) {
     for (std::size_t i = 0; i < bits.size(); ++i) bits[i] = answer[2 + i / 8] >> (i % 8) & 1;
   };
@@ -339,8 +338,8 @@ Result<void> ModbusDevice::read_bits(ModbusTable table, std::uint16_t first, std
 
 Result<void> ModbusDevice::write_registers(std::uint16_t first, std::span<const std::uint16_t> words) {
   if (words.empty() || words.size() > MODBUS_MAX_WRITE_REGISTERS || first + words.size() > 65536)
-    return error(Errc::bad_argument, "cannot write to the device",
-                 "these are no registers that can be written at a time", "up to 123, up to address 65535");
+    return error(Errc::bad_argument, "cannot write to the device", "these registers cannot be written in one request",
+                 "write at most 123 registers, up to address 65535");
   Request request(words.size() == 1 ? 6 : 16, first, words.size() == 1 ? words[0] : words.size());
   if (words.size() > 1) {
     request.add(2 * words.size());
@@ -374,7 +373,7 @@ ModbusBus::ModbusBus(std::string name, std::shared_ptr<SerialTransport> line, Mo
 ModbusDevice ModbusBus::device(const ModbusDevice::Place& place) const {
   if (place.unit > last_unit)
     throw SetupError({Errc::bad_argument, "cannot use this unit", "bus " + name(),
-                      "units have the numbers 0 to 255, not " + std::to_string(place.unit), ""});
+                      "a unit has a number from 0 to 255, not " + std::to_string(place.unit), ""});
   return {core_, place.unit, counter_of("unit " + std::to_string(place.unit))};
 }
 

@@ -14,7 +14,7 @@ namespace {
 using RtuBytes = std::span<const std::uint8_t>;
 
 constexpr std::uint8_t exception_flag = 0x80;
-constexpr std::uint8_t last_read = 4;  // functions 1 to 4 read; 5 and 6 are answered by what was asked
+constexpr std::uint8_t last_read = 4;  // functions 1 to 4 read; the answer to 5 and 6 is equal to the request
 constexpr std::uint8_t last_mirrored = 6;
 constexpr std::size_t longest_frame = 256;
 

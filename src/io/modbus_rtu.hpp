@@ -33,7 +33,7 @@ class ModbusRtu {
 
   struct Answer {
     Bytes bytes = {};         // the function code and its data
-    std::size_t skipped = 0;  // bytes on the line that were no part of it
+    std::size_t skipped = 0;  // bytes on the line that were not part of it
   };
   /// `request`: the function code and its data; `size`: of a good answer. Returns 0 or an errno like libmodbus, also
   /// for the device's exceptions. After other results a late answer is possible. Errors: those of AskedLine; closed

@@ -75,7 +75,7 @@ int ModbusTcp::receive(int connection) {
 /// Skips complete answers to earlier requests.
 ModbusTcp::Taken ModbusTcp::take(std::uint8_t function) {
   while (in_.size() >= modbus_prefix) {
-    const std::size_t length = modbus_word(in_, 4);  // of unit, function and what belongs to it
+    const std::size_t length = modbus_word(in_, 4);  // bytes of unit, function and data
     if (modbus_word(in_, 2) != 0 || length < 3 || length > most_modbus_pdu + 1) return Taken::broken;
     const std::size_t size = modbus_prefix - 1 + length;
     if (in_.size() < size) return Taken::nothing;

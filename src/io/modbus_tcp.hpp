@@ -24,7 +24,7 @@ class ModbusTcp {
   int receive(int connection);
 
   std::uint16_t number_ = 0;  // number of the last request
-  Bytes out_, in_, answer_;   // `in_` has come, and is not taken
+  Bytes out_, in_, answer_;   // `in_` was received, but not taken yet
 };
 
 /// True if the peer has closed or reset the connection and nothing is left to read.

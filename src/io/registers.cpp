@@ -9,11 +9,12 @@ namespace rtdata {
 void check_config(const RegisterPlace& place, const ConfigItem& item, Problems& problems) {
   const ConfigItem* address = item.find("address");
   if (place.chip_select && address != nullptr)
-    problems.add(address->problem("bad-value", "a chip on SPI has a `chip_select` and no `address`: leave one out"));
+    problems.add(
+        address->problem("bad-value", "a chip on SPI has a `chip_select` and no `address`: remove one of them"));
   if (place.chip_select) return;
   for (const std::string_view key : {"mode", "clock"}) {
     if (const ConfigItem* at = item.find(key))
-      problems.add(at->problem("bad-value", "this is for SPI, where the chip has a `chip_select`"));
+      problems.add(at->problem("bad-value", "this works only on SPI, where the chip has a `chip_select`"));
   }
 }
 

@@ -15,7 +15,7 @@ namespace {
 constexpr const char* cannot_read = "no answer";
 
 std::string what_to_check(const SerialPortConfig& config) {
-  if (!config.run.empty()) return "check the program, and what it says to its standard error";
+  if (!config.run.empty()) return "check the program, and its messages on standard error";
   return config.host.empty() ? "check the device, its wires, and `baud_rate`" : "check the device and the network";
 }
 
@@ -43,16 +43,16 @@ std::span<const std::uint8_t> bytes_of(std::string_view text) {
 std::optional<detail::PlaceMistake> detail::mistake_in_place(const SerialPortConfig& config, const char* keys) {
   const int places = !config.device.empty() + !config.host.empty() + !config.run.empty();
   const char* const other = config.host.empty() ? "run" : "host";
-  if (places == 0) return PlaceMistake{"device", "there is none of " + std::string(keys), "set one of them"};
-  if (places > 1) return PlaceMistake{other, "there is more than one of " + std::string(keys), "keep one of them"};
+  if (places == 0) return PlaceMistake{"device", "one of " + std::string(keys) + " is needed", "set one of them"};
+  if (places > 1) return PlaceMistake{other, "only one of " + std::string(keys) + " is possible", "keep one of them"};
   if (!config.host.empty() && config.port == 0)
-    return PlaceMistake{"port", "there is no `port`", "such as 5025 for SCPI"};
-  if (config.host.empty() && config.port != 0) return PlaceMistake{"port", "only a `host` has one", "leave it out"};
+    return PlaceMistake{"port", "there is no `port`", "set it, such as 5025 for SCPI"};
+  if (config.host.empty() && config.port != 0) return PlaceMistake{"port", "it works only with `host`", "remove it"};
   if (!config.run.empty() && config.run.front().empty())
-    return PlaceMistake{"run", "there is no program", "name it first"};
+    return PlaceMistake{"run", "there is no program", "name it as the first word"};
   const SerialSettings& serial = config.serial;
   if (config.device.empty() && (serial.dtr || serial.rts || serial.hangup || serial.rs485))
-    return PlaceMistake{other, "`dtr`, `rts`, `hangup` and `rs485` are of a serial device", "leave them out"};
+    return PlaceMistake{other, "`dtr`, `rts`, `hangup` and `rs485` work only with a serial `device`", "remove them"};
   return std::nullopt;
 }
 
@@ -61,7 +61,7 @@ void detail::check_place(const SerialPortConfig& config, const char* keys, const
   if (!mistake && config.device.empty())
     for (const char* const key : {"baud_rate", "character_size", "parity", "stop_bits"})
       if (const ConfigItem* const at = item.find(key))
-        problems.add(at->problem("bad-value", "it is of a serial device, and there is none; leave it out"));
+        problems.add(at->problem("bad-value", "it works only with a serial `device`: remove it"));
   if (!mistake) return;
   const ConfigItem* const at = item.find(mistake->key);
   problems.add((at != nullptr ? *at : item)
@@ -159,7 +159,7 @@ Result<void> SerialDevice::read(std::span<std::uint8_t> bytes, std::optional<Dur
     if (*came) continue;
     distrust();
     return error(Errc::timed_out, cannot_read,
-                 std::to_string(pending_.size()) + " of " + std::to_string(bytes.size()) + " bytes came in " +
+                 std::to_string(pending_.size()) + " of " + std::to_string(bytes.size()) + " bytes came within " +
                      to_string(patience),
                  what_to_check(core_->config));
   }
@@ -182,7 +182,7 @@ Result<std::size_t> SerialDevice::read_some(std::span<std::uint8_t> bytes, std::
     if (!came) return came.error();
     if (!*came) {
       distrust();
-      return error(Errc::timed_out, cannot_read, "nothing came in " + to_string(patience));
+      return error(Errc::timed_out, cannot_read, "nothing came within " + to_string(patience));
     }
   }
   const std::size_t count = std::min(pending_.size(), bytes.size());
@@ -215,9 +215,9 @@ Result<std::string> SerialDevice::read_until(char delimiter, std::optional<Durat
     if (*came) continue;
     distrust();
     return error(Errc::timed_out, cannot_read,
-                 pending_.empty()
-                     ? "nothing came in " + to_string(patience)
-                     : std::to_string(pending_.size()) + " bytes came in " + to_string(patience) + ", without an end",
+                 pending_.empty() ? "nothing came within " + to_string(patience)
+                                  : std::to_string(pending_.size()) + " bytes came within " + to_string(patience) +
+                                        ", without an end",
                  what_to_check(core_->config) + "; and how answers end");
   }
 }

@@ -15,7 +15,7 @@ void check_config(const SpiConfig& config, const ConfigItem& item, Problems& pro
   const ConfigItem* device = item.find("device");
   problems.add((device != nullptr ? *device : item)
                    .problem("bad-value",
-                            "this is a chip select, not a controller: give \"" + config.device.substr(0, dot) +
+                            "this is a chip select, not a controller: write \"" + config.device.substr(0, dot) +
                                 "\" here, and \"chip_select\": " + config.device.substr(dot + 1) + " to the sensor"));
 }
 
@@ -40,16 +40,16 @@ Result<void> SpiDevice::transfer(std::span<const SpiSegment> segments) {
   for (const SpiSegment& segment : segments) {
     if (!segment.write.empty() && !segment.read.empty() && segment.write.size() != segment.read.size())
       return error(Errc::bad_argument, what,
-                   "a piece sends " + std::to_string(segment.write.size()) + " bytes and receives " +
+                   "a segment sends " + std::to_string(segment.write.size()) + " bytes and receives " +
                        std::to_string(segment.read.size()),
-                   "as many of each, or one of them none");
+                   "use the same number of bytes for both, or leave one empty");
     bytes += std::max(segment.write.size(), segment.read.size());
   }
   if (segments.size() > most_segments || bytes > longest)
     return error(Errc::bad_argument, what,
                  std::to_string(bytes) + " bytes in " + std::to_string(segments.size()) +
-                     " pieces are more than one transfer takes",
-                 "4096 bytes and 64 pieces at most");
+                     " segments are more than one transfer can have",
+                 "use at most 4096 bytes and 64 segments");
   const MonotonicTime began = detail::lane_now();
   const int status = core_->transport->transfer(place_, segments);
   count(detail::lane_now() - began, status == 0);
@@ -61,7 +61,7 @@ Result<void> SpiDevice::transfer(std::span<const SpiSegment> segments) {
                      " bytes at a time",
                  "try mode 0, 8 bits and a lower clock");
   if (status == ENODEV || status == ESHUTDOWN)
-    return error(Errc::disconnected, what, "the controller is gone", "was it unplugged?");
+    return error(Errc::disconnected, what, "the controller is gone", "check whether it was unplugged");
   const std::string device = core_->config.device.empty()
                                  ? "bus " + core_->bus + ", " + SpiBus::text_of(place_)
                                  : core_->config.device + "." + std::to_string(place_.chip_select);
@@ -92,7 +92,7 @@ SpiDevice SpiBus::device(const SpiPlace& place) const {
   const bool is_good = place.mode <= 3 && place.bits_per_word >= 4 && place.bits_per_word <= 32 && place.clock > 0;
   if (!is_good)
     throw SetupError({Errc::bad_argument, "cannot use this chip", "bus " + name() + ", " + text_of(place),
-                      "there are modes 0 to 3, words of 4 to 32 bits, and clocks above 0", ""});
+                      "use a mode from 0 to 3, words of 4 to 32 bits, and a clock above 0", ""});
   return {core_, place, counter_of(text_of(place))};
 }
 

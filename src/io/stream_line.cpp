@@ -30,7 +30,7 @@ int milliseconds(Duration left) {
 
 constexpr const char* cannot_connect = "cannot connect";
 
-/// What is said of each sort of line.
+/// The texts for each kind of line.
 struct LineWords {
   const char *cannot_write, *cannot_open, *hangs, *hangs_advice, *lost, *gone, *advice;
 };
@@ -39,17 +39,17 @@ constexpr std::array<LineWords, 3> words_of_lines{{
      "unplug the device, and plug it in again", "lost the serial line", "the device has disappeared",
      "check the plug and the cable; it is opened again when it is back"},
     {"cannot write to the server", "cannot connect", "an earlier attempt still hangs",
-     "is the name server away? `host` may be an address", "lost the connection", "the server has closed it",
+     "check the name server, or set `host` to an IP address", "lost the connection", "the server has closed it",
      "it is opened again when it is back"},
     {"cannot write to the program", "cannot start the program", "an earlier attempt still hangs",
-     "does its disk answer?", "lost the program", "it has ended, or closed its terminal",
+     "check the disk of the program", "lost the program", "it has ended, or closed its terminal",
      "check the program: `run` it by hand; it is started again"},
 }};
 const LineWords& words_of(StreamLine::Kind::Sort sort) noexcept {
   return words_of_lines[static_cast<std::size_t>(sort)];
 }
 
-/// The programs that are asked, by the descriptor of their terminal.
+/// The programs that answer, by the descriptor of their terminal.
 class AskedPrograms {
  public:
   void kill_all() noexcept {
@@ -120,8 +120,8 @@ Result<void> StreamLine::write(std::span<const std::uint8_t> bytes, Duration tim
       if (!ready) return ready.error();
       if (!*ready)
         return Error{Errc::timed_out, words_of(kind_.sort).cannot_write, kind_.name,
-                     std::to_string(bytes.size()) + " bytes were not taken in " + to_string(timeout),
-                     "is the device stopped?"};
+                     std::to_string(bytes.size()) + " bytes were not accepted within " + to_string(timeout),
+                     "check whether the device is stopped"};
     } else if (number != EINTR) {
       return gone(*line, number);
     }

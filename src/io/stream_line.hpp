@@ -13,22 +13,22 @@
 
 namespace rtdata::detail {
 
-/// Connects within the limit, to the first address that accepts; looking up a name takes as long as it takes. Returns a
+/// Connects within the limit, to the first address that accepts; the lookup of a name has no limit. Returns a
 /// descriptor that does not block.
 Result<int> connect_to(const std::string& host, std::uint16_t port, Duration limit);
 
-/// A setting of where a device is that cannot work.
+/// A setting of a device's place that cannot work.
 struct PlaceMistake {
   const char* key;
   std::string why;
   const char* advice;
 };
-/// Of `device`, `host`, `port` and `run`. `keys`: those that there are, for messages.
+/// Checks `device`, `host`, `port` and `run`. `keys`: those that exist, for messages.
 std::optional<PlaceMistake> mistake_in_place(const SerialPortConfig& config, const char* keys);
 /// Reports it.
 void check_place(const SerialPortConfig& config, const char* keys, const ConfigItem& item, Problems& problems);
 
-/// A program that is asked and answers through its terminal. Not a serial device: SerialPortConfig::run.
+/// A program that answers through its terminal. Not a serial device: SerialPortConfig::run.
 std::shared_ptr<SerialTransport> make_program_line(std::vector<std::string> run);
 
 /// Thread: as SerialTransport.

@@ -58,18 +58,19 @@ long locked_by(const std::string& path) {
 Error busy_error(const std::string& path) {
   const long process = locked_by(path);
   if (process == ::getpid())
-    return {Errc::busy, cannot_open, path, "this program has it open already",
-            "a serial line is for the sensors `serial` of one tier with the same settings, or one bus, or one output"};
+    return {Errc::busy, cannot_open, path, "this program has already opened it",
+            "use a serial line only for `serial` sensors of one tier with the same settings, or for one bus, or for "
+            "one output"};
   if (process > 0) {
     const std::string name = first_line_of("/proc/" + std::to_string(process) + "/comm");
     return {Errc::busy, cannot_open, path,
             (name.empty() ? "a program" : name) + " (process " + std::to_string(process) + ") uses it",
             name == "rtdata-guard"
                 ? "end the run that uses the output; the guard ends after it, when the output is safe"
-                : "end it: a serial line is for one program"};
+                : "end it: only one program can use a serial line"};
   }
   return {Errc::busy, cannot_open, path, "another program uses it",
-          "`fuser -v " + path + "` names it; end it (ModemManager and brltty are usual ones)"};
+          "`fuser -v " + path + "` shows its name; end it (often it is ModemManager or brltty)"};
 }
 
 Error open_error(int number, const std::string& path) {
@@ -111,19 +112,19 @@ Result<void> set_lines(int fd, const std::string& path, const SerialSettings& se
     mode.flags = (mode.flags & ~ours) | wanted;
     done = done && ::ioctl(fd, TIOCSRS485, &mode) == 0 && ::ioctl(fd, TIOCGRS485, &mode) == 0;
     if (!done || (mode.flags & ours) != wanted)
-      return cannot_do(path, "its driver cannot switch an RS-485 line so",
-                       "leave out `rs485`; most adapters switch by themselves");
+      return cannot_do(path, "its driver cannot switch an RS-485 line in this way",
+                       "remove `rs485`: most adapters switch by themselves");
   }
   int lines = 0;
   if (settings.hangup && ::ioctl(fd, TIOCMGET, &lines) != 0)
-    return cannot_do(path, "it has no lines that `hangup` could clear", "leave it out");
+    return cannot_do(path, "it has no lines that `hangup` could clear", "remove it");
   for (const auto& [is_set, bit, key] :
        {std::tuple{settings.dtr, TIOCM_DTR, "dtr"}, std::tuple{settings.rts, TIOCM_RTS, "rts"}}) {
     if (!is_set) continue;
     int bits = bit;
     if (::ioctl(fd, *is_set ? TIOCMBIS : TIOCMBIC, &bits) == 0) continue;
     if (errno == EIO || errno == ENODEV) return open_error(errno, path);
-    return cannot_do(path, std::string("it has no line that `") + key + "` could set", "leave it out");
+    return cannot_do(path, std::string("it has no line that `") + key + "` could set", "remove it");
   }
   return {};
 }
@@ -152,13 +153,14 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
   const double off = static_cast<double>(now.c_ospeed) / settings.baud_rate - 1;
   const unsigned format = CSIZE | CSTOPB | PARENB | PARODD | CMSPAR | HUPCL;
   if (off > 0.03 || off < -0.03) {
-    return Error{Errc::out_of_range, "cannot set up the serial line", path,
-                 "it cannot do " + std::to_string(settings.baud_rate) + " Bd, only " + std::to_string(now.c_ospeed),
-                 "change `baud_rate`"};
+    return Error{
+        Errc::out_of_range, "cannot set up the serial line", path,
+        "it does not support " + std::to_string(settings.baud_rate) + " Bd, but only " + std::to_string(now.c_ospeed),
+        "change `baud_rate`"};
   }
   if ((now.c_cflag & format) != (flags & format) && !is_pseudo_terminal(fd)) {
     return Error{Errc::out_of_range, "cannot set up the serial line", path,
-                 "it cannot do this character size, parity, stop bits or hang-up",
+                 "it does not support this character size, parity, stop bits or hang-up",
                  "change `character_size`, `parity`, `stop_bits` or `hangup`"};
   }
   return set_lines(fd, path, settings);
@@ -168,14 +170,13 @@ Result<void> set_up(int fd, const std::string& path, const SerialSettings& setti
 
 Result<unsigned> control_flags(const SerialSettings& settings) {
   constexpr unsigned sizes[] = {CS5, CS6, CS7, CS8};
-  if (settings.baud_rate == 0) return bad_setting("a baud rate of 0", "such as 9600");
+  if (settings.baud_rate == 0) return bad_setting("a baud rate of 0", "set `baud_rate`, such as 9600");
   if (settings.character_size < 5 || settings.character_size > 8)
     return bad_setting("a character has 5 to 8 bits", "set `character_size`");
   if (settings.stop_bits < 1 || settings.stop_bits > 2)
     return bad_setting("there are 1 or 2 stop bits", "set `stop_bits`");
   unsigned flags = CREAD | CLOCAL | sizes[settings.character_size - 5];
-  if (settings.rts && settings.rs485)
-    return bad_setting("with `rs485` the kernel sets RTS", "leave out one of `rts` and `rs485`");
+  if (settings.rts && settings.rs485) return bad_setting("with `rs485` the kernel sets RTS", "remove `rts` or `rs485`");
   if (settings.stop_bits == 2) flags |= CSTOPB;
   if (settings.hangup) flags |= HUPCL;
   switch (settings.parity) {

@@ -83,7 +83,7 @@ void HostLookup::start(const std::string& host, std::uint16_t port) {
   const std::shared_ptr<Job> job = job_;
   if (!lane_->submit(job) && job_ == job) {
     job_ = nullptr;
-    found_(unknown("no thread is free to look the name up: earlier attempts still hang"));
+    found_(unknown("no thread is free to look up the name: earlier attempts still hang"));
   }
 }
 
@@ -100,32 +100,32 @@ void HostLookup::job_done(Job& job, LaneJob::Outcome outcome) {
   const std::shared_ptr<Job> ended = std::exchange(job_, nullptr);
   if (outcome == LaneJob::Outcome::cancelled) return;
   if (outcome == LaneJob::Outcome::given_up)
-    return found_(unknown("the name servers did not answer in " + to_string(lookup_limit)));
+    return found_(unknown("the name servers did not answer within " + to_string(lookup_limit)));
   if (job.status != 0) return found_(unknown(::gai_strerror(job.status)));
   found_(std::move(job.addresses));
 }
 
 Error HostLookup::unknown(std::string why) const {
-  return {Errc::not_found, "cannot connect", host_, std::move(why), "check the name; an address needs no looking up"};
+  return {Errc::not_found, "cannot connect", host_, std::move(why), "check the host name, or use an IP address"};
 }
 
 std::string obstacle_of_host(const std::string& host) {
   if (host.empty()) return "there is no host";
-  if (host.find("://") != std::string::npos) return "it is a URL: give the name or the address alone";
+  if (host.find("://") != std::string::npos) return "it is a URL: write only the name or the address";
   const bool has_other = std::any_of(host.begin(), host.end(), [](char c) {
     return static_cast<unsigned char>(c) <= ' ' || c == '/' || c == '\\' || c == '"' || c == 0x7f;
   });
   if (has_other) return "it is neither a host name nor an address";
-  if (host.front() == '[') return "it has brackets, as in a URL: give the address alone";
+  if (host.front() == '[') return "it has brackets, as in a URL: write only the address";
   if (const std::size_t colon = host.find(':'); colon != std::string::npos) {
     const std::string address = host.substr(0, host.find('%'));  // without its zone
     in6_addr ignored{};
     if (::inet_pton(AF_INET6, address.c_str(), &ignored) != 1) {
       const bool is_one = host.find(':', colon + 1) == std::string::npos;
-      return is_one ? "it has a port: give that as `port`" : "it is neither a host name nor an address";
+      return is_one ? "it contains a port: write the port as `port`" : "it is neither a host name nor an address";
     }
   }
-  return host.size() > 253 ? "it is longer than names of hosts are" : "";
+  return host.size() > 253 ? "it is too long for a host name" : "";
 }
 
 }  // namespace rtdata::detail

@@ -35,7 +35,7 @@ class HostLookup {
   HostLookup& operator=(const HostLookup&) = delete;
   ~HostLookup();
 
-  /// A numeric address needs no looking up, nor does "localhost", which is ::1, then 127.0.0.1.
+  /// A numeric address is not looked up, nor is "localhost", which is ::1, then 127.0.0.1.
   void start(const std::string& host, std::uint16_t port);
   void cancel() noexcept;
   bool is_under_way() const noexcept { return job_ != nullptr; }
@@ -52,8 +52,8 @@ class HostLookup {
   const Found found_;
   std::string host_;
   std::unique_ptr<Lane> lane_;   // made for the first name
-  std::shared_ptr<Job> job_;     // that is waited for
-  std::weak_ptr<Job> last_job_;  // also one that is not, and still runs
+  std::shared_ptr<Job> job_;     // the job whose result is needed
+  std::weak_ptr<Job> last_job_;  // also a job that is abandoned and still runs
 };
 
 }  // namespace rtdata::detail

@@ -31,32 +31,32 @@ constexpr Status statuses[] = {
     {307, "Temporary Redirect", ""},
     {308, "Permanent Redirect", ""},
     {400, "Bad Request", ""},
-    {401, "Unauthorized", "the server does not accept this token or password: give the right one"},
-    {403, "Forbidden", "this token or password does not permit writing there: have it permitted, or use another"},
-    {404, "Not Found", "there is nothing at this URL: correct `url`"},
-    {405, "Method Not Allowed", "the server wants another method at this URL: correct `method` or `url`"},
+    {401, "Unauthorized", "set the right token or password: the server does not accept this one"},
+    {403, "Forbidden", "this token or password does not permit writing: ask for the permission, or use another"},
+    {404, "Not Found", "correct `url`: the server has nothing there"},
+    {405, "Method Not Allowed", "correct `method` or `url`: the server needs another method there"},
     {406, "Not Acceptable", "correct `headers`"},
-    {407, "Proxy Authentication Required", "the proxy needs a user: give `proxy_user` and `proxy_password`"},
+    {407, "Proxy Authentication Required", "set `proxy_user` and `proxy_password`: the proxy needs a user"},
     {408, "Request Timeout",
-     "the server did not get the request in time: is the network slow? Try a smaller `parcel_rows`"},
+     "set a smaller `parcel_rows`, or check the network: the server did not get the request in time"},
     {409, "Conflict", "read the answer of the server"},
-    {410, "Gone", "nothing is at this URL any more: correct `url`"},
-    {411, "Length Required", "something between here and the server removes the length: ask its operator"},
+    {410, "Gone", "correct `url`: the server no longer has anything there"},
+    {411, "Length Required", "a proxy on the way removes the header Content-Length: ask its operator"},
     {413, "Content Too Large", ""},
     {414, "URI Too Long", "shorten `url`"},
     {415, "Unsupported Media Type",
-     "the server does not take this format: correct `format`, `content_type` or `compression`"},
+     "correct `format`, `content_type` or `compression`: the server does not accept this format"},
     {422, "Unprocessable Content", ""},
     {425, "Too Early", ""},
     {429, "Too Many Requests",
-     "the server wants fewer requests: set a larger `parcel_rows`, a smaller `window`, `bytes_per_second`"},
+     "set a larger `parcel_rows`, a smaller `window` or `bytes_per_second`: the server asks for fewer requests"},
     {431, "Request Header Fields Too Large", "send fewer `headers`"},
     {500, "Internal Server Error", "see the server's log"},
     {501, "Not Implemented", "see the server's log"},
-    {502, "Bad Gateway", "the server behind it does not answer"},
-    {503, "Service Unavailable", "the server is overloaded, or being restarted"},
-    {504, "Gateway Timeout", "the server behind it does not answer"},
-    {507, "Insufficient Storage", "make room on the server"}};
+    {502, "Bad Gateway", "check the server behind the gateway: it does not answer"},
+    {503, "Service Unavailable", "check the server: it is overloaded, or it restarts"},
+    {504, "Gateway Timeout", "check the server behind the gateway: it does not answer"},
+    {507, "Insufficient Storage", "free space on the server"}};
 
 const Status& status_of(long number) {
   const auto* found = std::find_if(std::begin(statuses), std::end(statuses),
@@ -102,10 +102,9 @@ Error said(const HttpAnswer& answer, const std::string& origin) {
 
 std::string redirect_advice(const HttpAnswer& answer, const std::string& origin) {
   const auto to = answer.redirect.empty() ? Result<HttpUrl>(Error{}) : parse_http_url(answer.redirect);
-  if (!to) return "the server gives no new address: ask its operator";
-  if (to->origin != origin)
-    return "the server wants the events sent to " + to->origin + ": if that is right, write it into `url`";
-  return "the server wants another path: correct `url` (`curl -i` shows where)";
+  if (!to) return "ask the operator of the server: it gives no new address";
+  if (to->origin != origin) return "the server redirects to " + to->origin + ": if that is right, write it into `url`";
+  return "correct `url`: the server redirects to another path (`curl -i` shows it)";
 }
 
 }  // namespace
@@ -141,7 +140,7 @@ std::string first_line_of(std::string_view body) {
   while (!body.empty() && line.size() < longest) {
     const char c = body.front();
     if (c == '\n' || c == '\r') {
-      if (!line.empty()) break;  // those that begin with empty lines have one to say too
+      if (!line.empty()) break;  // skips empty lines at the beginning
       body.remove_prefix(1);
       continue;
     }
@@ -158,7 +157,7 @@ std::string first_line_of(std::string_view body) {
 HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const std::string& proxy_origin) {
   HttpJudgement judgement{HttpVerdict::later, {Errc::disconnected, what, origin, failure.text, ""}, {}};
   Error& error = judgement.why;
-  const std::string& first = proxy_origin.empty() ? origin : proxy_origin;  // with whom the connection is
+  const std::string& first = proxy_origin.empty() ? origin : proxy_origin;  // the peer of the connection
   const auto say = [&](Errc code, std::string why, std::string advice) {
     error.code = code;
     if (!why.empty()) error.why = std::move(why);
@@ -172,7 +171,7 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
     say(errc_of(failure.connect_status),
         "the proxy answers " + std::to_string(failure.connect_status) + (status.number != 0 ? " " : "") + status.name,
         failure.connect_status == 407 ? std::string(status.advice) + kept
-                                      : "does the proxy let this machine go there?");
+                                      : "check whether the proxy allows this connection");
     if (failure.connect_status < 500) judgement.verdict = HttpVerdict::faulted;
     return judgement;
   }
@@ -182,20 +181,20 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
       error.code = failure.error_number == ETIMEDOUT ? Errc::timed_out : Errc::disconnected;
       if (failure.error_number != 0) error.why = std::generic_category().message(failure.error_number);
       error.advice = failure.error_number == ECONNREFUSED
-                         ? "no program listens at this port: is the server running, and is the port right?"
-                         : "is the machine on, and does the network reach it?";
+                         ? "check that the server runs, and that the port is right: no program listens there"
+                         : "check that the computer is on, and that the network reaches it";
       break;
     case CURLE_OPERATION_TIMEDOUT:
-      say(Errc::timed_out, "", "is the server overloaded, or the network slow?");
+      say(Errc::timed_out, "", "check the load of the server, and the speed of the network");
       break;
     case CURLE_COULDNT_RESOLVE_HOST:
     case CURLE_COULDNT_RESOLVE_PROXY:
       error.where = first;
-      say(Errc::not_found, "", "check the name; an address needs no looking up");
+      say(Errc::not_found, "", "check the host name, or use an IP address");
       break;
     case CURLE_PEER_FAILED_VERIFICATION: {
       error.code = Errc::not_permitted;
-      // What libcurl has compared itself, the name, only its text tells.
+      // libcurl compares the name itself: only its text shows that this failed.
       long verified = failure.verify_result;
       for (const auto& [text, code] :
            {std::pair{"self-signed", 18L}, std::pair{"self signed", 18L}, std::pair{"does not match", 62L},
@@ -206,7 +205,7 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
     }
     case CURLE_SSL_CONNECT_ERROR:
       say(Errc::io_failed, "",
-          "does the server speak TLS at this port? It may also want a client certificate (`tls.certificate`)");
+          "check that the server speaks TLS at this port; it may also need a client certificate (`tls.certificate`)");
       break;
     case CURLE_SSL_CERTPROBLEM:
       say(Errc::bad_data, "", "check the files `tls.certificate` and `tls.key`, and `tls.key_password`");
@@ -222,19 +221,19 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
     case CURLE_RECV_ERROR:
     case CURLE_HTTP2:
     case CURLE_HTTP2_STREAM:
-      error.advice = "the connection was closed before the answer: see the server's log";
+      error.advice = "see the server's log: the connection was closed before the answer";
       break;
     case CURLE_WEIRD_SERVER_REPLY:
     case CURLE_UNSUPPORTED_PROTOCOL:
     case CURLE_BAD_CONTENT_ENCODING:
     case CURLE_WRITE_ERROR:
-      say(Errc::bad_data, "", "the answer is not HTTP, or another version of it: is the port right?");
+      say(Errc::bad_data, "", "check the port: the answer is not HTTP, or another version of it");
       break;
     case CURLE_OUT_OF_MEMORY:
-      error.advice = "this machine is out of memory, or the server answers with more headers than libcurl takes";
+      error.advice = "free memory of this computer, or let the server answer with fewer headers";
       break;
     default:
-      error.advice = "check both ends, and what is between them";
+      error.advice = "check both ends, and the network between them";
       break;
   }
   return judgement;

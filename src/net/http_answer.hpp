@@ -14,21 +14,21 @@ struct HttpAnswer {
   long status = 0;
   std::string_view text{};  // how the body begins
   Duration retry_after{0};  // 0: the server did not say
-  std::string redirect{};   // where to, absolute; empty: nowhere
+  std::string redirect{};   // target of the redirection, absolute; empty: none
 };
 
 enum class HttpVerdict {
   taken,
-  refused,  // at least one event was refused; sending halves shows which
+  refused,  // at least one event was refused; sending halves shows which one
   too_large,
   elsewhere,  // to be sent to `redirect`
   later,
-  faulted,  // like later, but a person must change something
+  faulted,  // like later, but the user must change something
 };
 
 struct HttpJudgement {
   HttpVerdict verdict = HttpVerdict::taken;
-  Error why{};  // but of taken and elsewhere
+  Error why{};  // except for taken and elsewhere
   std::optional<Duration> after{};
 };
 

@@ -8,8 +8,8 @@
 namespace rtdata::detail {
 namespace {
 
-/// Where libcurl finds the authorities that this machine trusts. From the folder, OpenSSL reads what it needs; all of
-/// them in one file take it 50 ms to read.
+/// Where libcurl finds the trusted authorities of this computer. From the folder, OpenSSL reads only what it needs;
+/// reading one file with all of them takes 50 ms.
 const char* folder_of_authorities() {
   const curl_version_info_data* const about = curl_version_info(CURLVERSION_NOW);
   const bool is_openssl = about->ssl_version != nullptr && std::strstr(about->ssl_version, "OpenSSL") != nullptr;
@@ -122,7 +122,7 @@ void append(curl_slist*& list, const std::string& text) {
 
 void append_headers(curl_slist*& list, const HttpPeer& server, const std::string& content_type) {
   if (!content_type.empty()) append(list, "Content-Type: " + content_type);
-  append(list, "Expect:");  // not asked first
+  append(list, "Expect:");  // without asking the server first
   if (!server.bearer.empty()) append(list, "Authorization: Bearer " + server.bearer);
   for (const auto& [name, text] : server.headers) append(list, name + (text.empty() ? ";" : ": " + text));
 }
@@ -157,7 +157,7 @@ void set_server(CURL* easy, const HttpPeer& server, const HttpUrl& url) {
     set(CURLOPT_USERNAME, server.user.c_str());
     set(CURLOPT_PASSWORD, server.password.c_str());
   }
-  set(CURLOPT_PROXY, server.proxy.c_str());  // an empty one: none, whatever the environment says
+  set(CURLOPT_PROXY, server.proxy.c_str());  // an empty one: no proxy, also if environment variables name one
   if (!server.proxy_user.empty()) {
     set(CURLOPT_PROXYAUTH, static_cast<long>(CURLAUTH_BASIC));
     set(CURLOPT_PROXYUSERNAME, server.proxy_user.c_str());

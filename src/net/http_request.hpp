@@ -16,7 +16,7 @@ namespace rtdata::detail {
 /// libcurl is ready for use by any thread; the first call loads and prepares it. Throws SetupError.
 void need_curl();
 
-/// What libcurl does may raise SIGPIPE where the connection is encrypted: before 7.88 with OpenSSL.
+/// libcurl may raise SIGPIPE on encrypted connections: before 7.88 with OpenSSL.
 bool curl_may_raise_sigpipe() noexcept;
 
 /// Sets everything except the method, the headers, the timeouts and the use of the answer. `server` is not copied and
@@ -25,7 +25,7 @@ void set_server(CURL* easy, const HttpPeer& server, const HttpUrl& url);
 
 /// Throws std::bad_alloc.
 void append(curl_slist*& list, const std::string& text);
-/// Those that the server wants, behind Content-Type (none, if that is empty).
+/// The headers that the server needs, after Content-Type (omitted if empty).
 void append_headers(curl_slist*& list, const HttpPeer& server, const std::string& content_type);
 
 /// The secrets that must be hidden in a server's answer.

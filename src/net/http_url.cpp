@@ -22,7 +22,7 @@ std::optional<std::string> part_of(CURLU* url, CURLUPart part, unsigned flags = 
   return std::string(text);
 }
 
-/// Of RFC 9110: what the name of a header is made of.
+/// The characters of a header name (RFC 9110).
 bool is_token(const std::string& text) {
   return !text.empty() && std::all_of(text.begin(), text.end(), [](unsigned char c) {
     return (c < 0x80 && std::isalnum(c) != 0) ||
@@ -30,12 +30,12 @@ bool is_token(const std::string& text) {
   });
 }
 
-/// Why a header of this name is not the user's to set; empty: it is.
+/// Why the user cannot set a header with this name; empty: the user can.
 std::string owner_of(const std::string& name) {
   static constexpr struct {
     const char* name;
     const char* why;
-  } owned[] = {{"authorization", "give `bearer`, or `user` and `password`"},
+  } owned[] = {{"authorization", "set `bearer`, or `user` and `password`"},
                {"content-type", "give `content_type`"},
                {"content-encoding", "give `compression`"},
                {"proxy-authorization", "give `proxy_user` and `proxy_password`"},
@@ -63,8 +63,8 @@ Result<HttpUrl> parse_http_url(const std::string& text) {
   if (text.empty()) return wrong("there is no URL");
   if (!std::all_of(text.begin(), text.end(), [](unsigned char c) { return c > 0x20 && c < 0x7f; }))
     return wrong(
-        "a URL has no blanks, no control characters and no letters but those of ASCII: write them as %20 and so "
-        "on, a host's name in Punycode (xn--)");
+        "a URL contains only ASCII letters, and no blanks or control characters: write others as %20 and so on, and a "
+        "host name in Punycode (xn--)");
   const std::unique_ptr<CURLU, void (*)(CURLU*)> url(curl_url(), curl_url_cleanup);
   if (url == nullptr) detail::no_memory();
   const std::size_t colon = text.find("://");
@@ -72,7 +72,7 @@ Result<HttpUrl> parse_http_url(const std::string& text) {
   HttpUrl parsed;
   parsed.scheme = detail::lower_case(text.substr(0, colon));
   if (parsed.scheme != "http" && parsed.scheme != "https")
-    return wrong("the scheme is " + text.substr(0, colon) + ": http and https are known");
+    return wrong("the scheme is " + text.substr(0, colon) + ", but only http and https are supported");
   if (text.find_first_of("/?#", colon + 3) == colon + 3 || text.size() == colon + 3) return wrong("it has no host");
   const CURLUcode status = curl_url_set(url.get(), CURLUPART_URL, text.c_str(), CURLU_PATH_AS_IS);
   if (status == CURLUE_BAD_PORT_NUMBER) return wrong("the port is not a number from 1 to 65535");
@@ -100,11 +100,13 @@ std::vector<HttpMistake> mistakes_of(const HttpPeer& config) {
   const auto url = parse_http_url(config.url);
   if (!url) add("url", url.error().why);
   if (url && url->has_login)
-    add("url", "user and password in a URL would be shown with it: give `user` and `password`, or `bearer`");
+    add("url",
+        "a URL is shown in messages, with user and password in it: set `user` and `password`, or `bearer`, instead");
   if (url && url->has_fragment) add("url", "the part after # is never sent: remove it");
-  if (!config.bearer.empty() && !config.user.empty()) add("bearer", "give either `bearer` or `user`, not both");
+  if (!config.bearer.empty() && !config.user.empty()) add("bearer", "set either `bearer` or `user`, not both");
   if (config.user.empty() && !config.password.empty()) add("password", "`password` needs a `user`");
-  if (config.user.find(':') != std::string::npos) add("user", "a user's name in basic authentication has no colon");
+  if (config.user.find(':') != std::string::npos)
+    add("user", "a user name for basic authentication cannot contain a colon");
   for (const auto& [key, text] :
        {std::pair{"bearer", &config.bearer}, std::pair{"user", &config.user}, std::pair{"password", &config.password},
         std::pair{"proxy_user", &config.proxy_user}, std::pair{"proxy_password", &config.proxy_password}})
@@ -123,7 +125,8 @@ std::vector<HttpMistake> mistakes_of(const HttpPeer& config) {
     const auto proxy = parse_http_url(config.proxy);
     if (!proxy) add("proxy", proxy.error().why);
     if (proxy && proxy->has_login)
-      add("proxy", "user and password in a URL would be shown with it: give `proxy_user` and `proxy_password`");
+      add("proxy",
+          "a URL is shown in messages, with user and password in it: set `proxy_user` and `proxy_password` instead");
   } else if (!config.proxy_user.empty() || !config.proxy_password.empty()) {
     add(config.proxy_user.empty() ? "proxy_password" : "proxy_user", "there is no `proxy`");
   }

@@ -1,4 +1,4 @@
-// Addresses of IP written as numbers.
+// IP addresses written as numbers.
 #pragma once
 
 #include <arpa/inet.h>
@@ -49,21 +49,21 @@ inline std::optional<IpAddress> ip_address(const std::string& text, std::uint16_
   return address;
 }
 
-/// A setting of an address that cannot work.
+/// An address setting that cannot work.
 struct AddressMistake {
   const char* key;
   std::string why;
 };
-/// `key`: of the address of this machine. `from`: of the only sender; empty: all.
+/// `key`: parameter of this computer's address. `from`: address of the only sender; empty: all.
 inline std::optional<AddressMistake> mistake_in_addresses(const char* key, const std::string& own,
                                                           const std::string& from) {
   const auto address = ip_address(own, 0);
-  if (!address) return AddressMistake{key, "\"" + own + "\" is no address of IP, such as 0.0.0.0"};
+  if (!address) return AddressMistake{key, "\"" + own + "\" is not an IP address, such as 0.0.0.0"};
   if (from.empty()) return std::nullopt;
   const auto sender = ip_address(from, 0);
-  if (!sender) return AddressMistake{"from", "\"" + from + "\" is no address of IP, such as 192.168.1.7"};
+  if (!sender) return AddressMistake{"from", "\"" + from + "\" is not an IP address, such as 192.168.1.7"};
   if (sender->is_v6() != address->is_v6())
-    return AddressMistake{"from", "it is of another kind than `" + std::string(key) + "`"};
+    return AddressMistake{"from", "it is not of the same kind (IPv4 or IPv6) as `" + std::string(key) + "`"};
   return std::nullopt;
 }
 

@@ -87,7 +87,7 @@ void initialize_tls() {
   if (listening >= 0) ::close(listening);
 }
 
-/// The peer has closed it, or reset it, and nothing of it is unread.
+/// True if the peer has closed or reset it and all data was read.
 bool has_ended(int socket) noexcept {
   char byte = 0;
   const ssize_t got = ::recv(socket, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
@@ -116,11 +116,10 @@ Error MqttClient::failure(int status, bool is_connected) const {
     error.advice = advice_on_certificate(distrust, "host");
   } else if ((status == MOSQ_ERR_TLS || (status == MOSQ_ERR_CONN_LOST && is_encrypted)) && !is_connected) {
     error.advice =
-        "does the broker speak TLS at this port? It may also want a client certificate (`tls.certificate`), or not "
-        "trust "
-        "that";
+        "check that the broker speaks TLS at this port; it may also need a client certificate (`tls.certificate`), or "
+        "not trust that";
   } else if (status == MOSQ_ERR_CONN_LOST && !is_connected) {
-    error.advice = "the program connects to it again; if this port is one of TLS, set `tls`";
+    error.advice = "the program connects to it again; if the broker speaks TLS at this port, set `tls`";
   }
   return error;
 }
@@ -151,7 +150,7 @@ int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptio
   if (is_v5 && options.most_received != 0)
     mosquitto_int_option(handle, MOSQ_OPT_RECEIVE_MAXIMUM, options.most_received);
   mosquitto_int_option(handle, MOSQ_OPT_TCP_NODELAY, 1);
-  // As for programs with threads, the library then queues its packets, and writes them when it is told to only.
+  // As for programs with threads, the library then queues its packets, and writes them only when it is told to.
   mosquitto_threaded_set(handle, true);
   client.longest_message = options.longest_message.value_or(0);
   client.inlet = std::make_unique<MqttInlet>(
@@ -199,7 +198,7 @@ int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptio
 std::string obstacle_of_topic(const std::string& topic) {
   if (topic.empty()) return "there is no topic";
   if (topic.find_first_of(std::string_view("+#\0", 3)) != std::string::npos)
-    return "a topic of MQTT to publish to has no + and no #";
+    return "an MQTT topic to publish to cannot contain + or #";
   return topic.size() > 1000 ? "it is too long" : "";
 }
 
@@ -209,13 +208,13 @@ std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBr
   const auto is_control = [](char c) { return static_cast<unsigned char>(c) < ' ' || c == 0x7f; };
   for (const auto& [key, text] : {std::pair{"client_id", &broker.client_id}, std::pair{"user", &broker.user}}) {
     if (std::any_of(text->begin(), text->end(), is_control))
-      mistakes.emplace_back(key, "it has a control character, which brokers do not take");
+      mistakes.emplace_back(key, "it has a control character, which brokers do not accept");
     if (text->size() > longest_text)
-      mistakes.emplace_back(key, "it has " + std::to_string(text->size()) + " bytes: a text of MQTT has at most " +
+      mistakes.emplace_back(key, "it has " + std::to_string(text->size()) + " bytes, but a text in MQTT has at most " +
                                      std::to_string(longest_text));
   }
   if (broker.password.find('\0') != std::string::npos)
-    mistakes.emplace_back("password", "it has a NUL byte, at which it would end");
+    mistakes.emplace_back("password", "it contains a NUL byte, which would end it");
   if (broker.user.empty() && !broker.password.empty()) mistakes.emplace_back("password", "`password` needs a `user`");
   return mistakes;
 }
@@ -246,7 +245,7 @@ std::string topic_of_both(std::string_view one, std::string_view other) {
     // What begins with a wildcard does not match the broker's own topics.
     if (is_first && ((a.starts_with('$') && is_wildcard(b)) || (b.starts_with('$') && is_wildcard(a)))) return "";
     if (a != b && !is_wildcard(a) && !is_wildcard(b)) return "";
-    if (a == "#" || b == "#") {  // the rest of the other one is below it
+    if (a == "#" || b == "#") {  // the rest of the other filter is below it
       const std::string_view level = a == "#" ? b : a;
       const std::string_view rest = a == "#" ? other : one;
       topic += (is_first ? "" : "/") + std::string(is_wildcard(level) ? "x" : level);
@@ -271,7 +270,7 @@ std::string refusal_of(int answer, bool is_v5) {
   return is_v5 ? mosquitto_reason_string(answer) : mosquitto_connack_string(answer);
 }
 
-/// On a lane. The rest is done on the loop.
+/// Runs on a lane; everything else on the loop.
 class MqttConnecting final : public LaneJob {
  public:
   MqttConnecting(const MqttBroker& broker, const MqttOptions& options, bool is_v5,
@@ -339,14 +338,14 @@ void MqttConnection::connect() {
   last_job_ = job;
   if (!lane_->submit(job) && job_ == job) {
     job_ = nullptr;
-    fail(Errc::timed_out, "cannot connect", "no thread is free to connect: earlier attempts still hang");
+    fail(Errc::timed_out, "cannot connect", "no thread is free for connecting: earlier attempts still hang");
   }
 }
 
 void MqttConnection::connecting_ended(MqttConnecting& job, LaneJob::Outcome outcome) {
   if (outcome == LaneJob::Outcome::cancelled) return;
   if (outcome == LaneJob::Outcome::given_up)
-    return fail(Errc::timed_out, "cannot connect", "no connection in " + to_string(broker_.connect_timeout));
+    return fail(Errc::timed_out, "cannot connect", "no connection within " + to_string(broker_.connect_timeout));
   if (job.status != MOSQ_ERR_SUCCESS) return fail(std::move(job.why));
   client_ = std::move(job.client);
   // A descriptor of our own: the library closes its as it likes, and a watched one must not be closed.
@@ -402,7 +401,7 @@ int MqttConnection::call_library(std::size_t& left) {
   if (status == MOSQ_ERR_SUCCESS && is_readable_ && may_read()) {
     bool is_empty = true;
     status = client_->inlet->read(*client_, fd_, left, is_empty);
-    is_readable_ = status == MOSQ_ERR_SUCCESS && !is_empty;  // else the watch tells
+    is_readable_ = status == MOSQ_ERR_SUCCESS && !is_empty;  // otherwise the watch reports it
   }
   // The library does not report a connection that is reset during the TLS handshake.
   const bool is_shaking_hands = broker_.tls && !is_connected_ && !client_->answer;

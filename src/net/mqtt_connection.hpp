@@ -1,4 +1,4 @@
-// A connection to a broker of MQTT: libmosquitto on the loop. Connecting and looking up names happen on a lane.
+// A connection to an MQTT broker: libmosquitto on the loop. Connecting and looking up names happen on a lane.
 #pragma once
 
 #include <cstddef>
@@ -35,7 +35,7 @@ struct MqttClient {
   std::vector<Message> messages;               // that came; the first `arrived` of them, the others keep their memory
   std::size_t arrived = 0;
   std::size_t longest_message = 0;  // of a longer one, one byte more is kept
-  std::string trouble;              // what the library says of it
+  std::string trouble;              // the library's description of it
   bool is_encrypted = false;
   bool verifies = false;  // the broker's certificate
   long distrust = 0;      // what is wrong with that: X509_V_ERR_...
@@ -50,7 +50,7 @@ struct MqttClient {
   Error failure(int status, bool is_connected) const;
 };
 
-/// How the broker is to take it.
+/// How the broker must handle the connection.
 struct MqttOptions {
   struct Will {
     std::string topic, message;
@@ -72,14 +72,15 @@ std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBr
 /// A topic that both filters match (the broker sends such a message twice); empty: there is none.
 std::string topic_of_both(std::string_view one, std::string_view other);
 
-/// Makes the client's handle and connects it: blocks, as looking up names does. Status: the library's. What the broker
-/// answers comes by the library's loop. SIGPIPE is the caller's affair.
+/// Makes the client's handle and connects it: blocks, as looking up names does. Status: the library's. The broker's
+/// answers come through the library's loop. The caller handles SIGPIPE.
 int connect_client(MqttClient& client, const MqttBroker& broker, const MqttOptions& options, bool is_v5);
-/// The broker refuses the connection since it has no MQTT 5.
+/// True if the broker refuses the connection because it does not support MQTT 5.
 bool is_older(int answer) noexcept;
-/// It may have ended it since it has no MQTT 5: old brokers hang up on a version that they do not know.
+/// True if it may have ended the connection because it does not support MQTT 5: old brokers hang up on an unknown
+/// version.
 bool may_be_older(int status) noexcept;
-/// For people.
+/// For display.
 std::string refusal_of(int answer, bool is_v5);
 
 class MqttConnecting;
@@ -144,11 +145,11 @@ class MqttConnection : public std::enable_shared_from_this<MqttConnection> {
   const std::string name_;
   bool is_v5_;
   bool has_tried_older_ = false;
-  Timer more_;    // goes on in the next turn of the loop
-  Timer upkeep_;  // what the library does by time
+  Timer more_;    // continues in the next turn of the loop
+  Timer upkeep_;  // the library's timed work
   std::unique_ptr<Lane> lane_;
-  std::shared_ptr<MqttConnecting> job_;     // that is waited for
-  std::weak_ptr<MqttConnecting> last_job_;  // also one that is not, and still runs
+  std::shared_ptr<MqttConnecting> job_;     // the job whose result is needed
+  std::weak_ptr<MqttConnecting> last_job_;  // also a job that is abandoned and still runs
   int fd_ = -1;
   FdWatch watch_;
   bool is_connected_ = false;

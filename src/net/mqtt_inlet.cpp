@@ -50,7 +50,7 @@ int MqttInlet::read(MqttClient& client, int connection, std::size_t& most, bool&
   return status;
 }
 
-/// The library takes a packet a call, mostly.
+/// The library mostly takes one packet in each call.
 int MqttInlet::read_encrypted(MqttClient& client, std::size_t& most, bool& is_empty) {
   for (;;) {
     const std::size_t before = client.arrived;
@@ -108,7 +108,7 @@ void MqttInlet::look() {
   in_.erase(0, at);
 }
 
-/// Exchanges what is behind the library's descriptor for as long as it reads. It writes elsewhere only.
+/// While the library reads, its descriptor refers to the socket pair. It writes only at other times.
 int MqttInlet::give(MqttClient& client, int connection, std::size_t& most) {
   const int socket = mosquitto_socket(client.handle);
   if (socket < 0) return MOSQ_ERR_NO_CONN;
@@ -125,7 +125,7 @@ int MqttInlet::give(MqttClient& client, int connection, std::size_t& most) {
     goes_on = status == MOSQ_ERR_SUCCESS && most != 0 && has_read && mosquitto_socket(client.handle) == socket &&
               (!out_.empty() || unread() > 0);
   }
-  // Where the library has closed it, the number may be another's.
+  // If the library has closed it, the number may belong to another file.
   if (mosquitto_socket(client.handle) == socket && ::dup3(connection, socket, O_CLOEXEC) < 0) return MOSQ_ERR_ERRNO;
   return status;
 }

@@ -38,8 +38,8 @@ class MqttInlet {
 
   Config config_;
   int to_library_ = -1, of_library_ = -1;  // the two ends of the pair
-  std::string in_;                         // has come, and is not looked at
-  std::string out_;                        // is good, and not in the pair
+  std::string in_;                         // received, but not checked yet
+  std::string out_;                        // valid, but not in the socket pair yet
   std::size_t payload_ = 0;                // bytes of a message that are still to come
   std::size_t used_ = 0;                   // of them for the library
   int ending_ = 0;                         // the library's status, once it has had all that is good

@@ -75,8 +75,8 @@ struct MqttProperty {
 
 constexpr std::uint16_t mqtt_bit(MqttType type) { return static_cast<std::uint16_t>(1U << type); }
 
-/// By identifier, of packets that brokers send (MQTT 5 section 2.2.2.2); those of an authentication that nobody has
-/// begun are left out.
+/// By identifier, of packets that brokers send (MQTT 5 section 2.2.2.2); without those of an authentication, which this
+/// client never begins.
 constexpr auto mqtt_properties = [] {
   std::array<MqttProperty, 0x2b> all{};
   constexpr std::uint16_t answers = mqtt_bit(mqtt_connack) | mqtt_bit(mqtt_puback) | mqtt_bit(mqtt_pubrec) |
@@ -155,12 +155,12 @@ const char* mistake_of_properties(MqttBytes& from, MqttType type) noexcept {
 const char* mistake_of_connack(MqttBytes& bytes, bool is_v5) noexcept {
   const unsigned flags = bytes.number(1), reason = bytes.number(1);
   if (!bytes.is_good() || flags > 1) return "a malformed answer to the connection";
-  // A broker that has no MQTT 5 may refuse it as 3.1.1 does.
+  // A broker that does not support MQTT 5 may refuse it as 3.1.1 does.
   if (!is_v5 || (bytes.size() == 0 && reason != 0)) return nullptr;
   return mistake_of_properties(bytes, mqtt_connack);
 }
 
-/// Of an answer to a message, or to an answer.
+/// Checks an answer to a message, or to an answer.
 const char* mistake_of_answer(MqttBytes& bytes, MqttType type, bool is_v5) noexcept {
   const unsigned number = bytes.number(2);
   if (!bytes.is_good() || number == 0) return "an answer to an unknown message";

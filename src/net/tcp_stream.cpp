@@ -70,10 +70,10 @@ void TcpStream::try_next() {
       timeout_.start(limit_);
       watch_ = FdWatch(loop_.face, fd_, FdWatch::readable_and_writable, owner_, [this](const FdEvent& event) {
         if (is_connecting_) return take_attempt();
-        if (event.hung_up) watch_.set_events(FdWatch::readable);  // what came before the end is read first
+        if (event.hung_up) watch_.set_events(FdWatch::readable);  // data from before the end is read first
         ready_();
       });
-      // Of a server on this machine it is known already.
+      // For a server on this computer, the result is known already.
       pollfd one{fd_, POLLOUT, 0};
       if (::poll(&one, 1, 0) > 0) take_attempt();
       return;
@@ -95,7 +95,7 @@ void TcpStream::take_attempt() {
     error_number = errno;
   }
   if (error_number != 0) return attempt_failed(error_number);
-  // Where nobody listens, a port of this machine may connect to itself, when the kernel chooses it for our end, too.
+  // If no program listens, a port of this computer may connect to itself, when the kernel also chooses it for our end.
   size = sizeof own;
   ::getsockname(fd_, reinterpret_cast<sockaddr*>(&own), &size);
   if (std::memcmp(&own, &peer, sizeof own) == 0) return attempt_failed(ECONNREFUSED);
@@ -172,7 +172,7 @@ void TcpStream::end_writing() noexcept {
 
 Error TcpStream::failure(int error_number) const {
   return system_error(error_number, "cannot connect", host_ + " port " + std::to_string(port_),
-                      "is the server running there? `ss -ltn` on its machine lists the ports that are served");
+                      "check that the server runs there: `ss -ltn` on its computer lists the open ports");
 }
 
 }  // namespace rtdata::detail

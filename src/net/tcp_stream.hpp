@@ -18,7 +18,7 @@
 
 namespace rtdata::detail {
 
-/// A peer that vanishes without a word is noticed within a minute, also when there is nothing to send.
+/// A peer that disappears silently is noticed within a minute, also without data to send.
 void keep_alive(int fd) noexcept;
 
 /// Owner: the node whose stream it is. Thread: the loop's.
@@ -35,7 +35,7 @@ class TcpStream {
   ~TcpStream();
 
   /// Closes the connection before, if any, and connects to the first of the host's addresses that answers; each has
-  /// `limit` to do so. A numeric address needs no looking up, nor does "localhost", which is ::1, then 127.0.0.1.
+  /// `limit` to do so. A numeric address is not looked up, nor is "localhost", which is ::1, then 127.0.0.1.
   void connect(const std::string& host, std::uint16_t port, Duration limit);
   bool is_open() const noexcept { return fd_ >= 0 && !is_connecting_; }
   bool is_connecting() const noexcept { return is_connecting_; }
@@ -46,7 +46,7 @@ class TcpStream {
   int release() noexcept;
   /// As read(2), never blocks.
   ssize_t read(char* to, std::size_t most) noexcept;
-  /// False: the peer is gone, or takes no more now.
+  /// False: the peer is gone, or accepts no more data now.
   bool send(std::string_view text) noexcept;
   /// As write(2), never blocks and never raises SIGPIPE.
   ssize_t write(const std::byte* from, std::size_t size) noexcept;
@@ -55,7 +55,7 @@ class TcpStream {
   /// The number of written bytes that the peer's machine has not confirmed, as far as known; also after the connection
   /// was lost, until `close`.
   std::size_t unconfirmed() const noexcept;
-  /// The peer sees the end of what is written.
+  /// The peer sees the end of the written data.
   void end_writing() noexcept;
 
  private:

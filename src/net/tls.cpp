@@ -13,11 +13,12 @@
 namespace rtdata {
 namespace {
 
-constexpr off_t most_looked_at = off_t{1} << 20;  // authorities of a whole system have comments before the first
+constexpr off_t most_looked_at = off_t{1}
+                                 << 20;  // the file with all authorities of a system has comments before the first
 
 /// Why the file cannot be used; empty: it can.
 std::string obstacle(const std::string& path) {
-  if (path.find('\0') != std::string::npos) return "it is not a file name: it has a NUL byte";
+  if (path.find('\0') != std::string::npos) return "it is not a file name: it contains a NUL byte";
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);
   if (fd < 0) return std::generic_category().message(errno);
   struct stat about {};
@@ -44,13 +45,13 @@ std::vector<TlsMistake> mistakes_of(const TlsConfig& config) {
   look_at("certificate", config.certificate);
   look_at("key", config.key);
   if (!config.certificate.empty() && config.key.empty())
-    mistakes.push_back({"certificate", "a certificate needs its private key: give the file as `key`"});
+    mistakes.push_back({"certificate", "a certificate needs its private key: set `key` to its file"});
   if (config.certificate.empty() && !config.key.empty())
-    mistakes.push_back({"key", "a key needs its certificate: give the file as `certificate`"});
+    mistakes.push_back({"key", "a key needs its certificate: set `certificate` to its file"});
   if (!config.key_password.empty() && config.key.empty())
     mistakes.push_back({"key_password", "`key_password` needs a `key`"});
   if (!config.verify && !config.ca_file.empty())
-    mistakes.push_back({"ca_file", "with `verify` false it is not used: remove one of the two"});
+    mistakes.push_back({"ca_file", "it is not used with `verify` false: remove one of the two"});
   return mistakes;
 }
 

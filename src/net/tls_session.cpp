@@ -16,20 +16,19 @@ static constexpr const char* not_trusted = "it is not trusted";
 std::string advice_on_certificate(long verified, const std::string& key) {
   switch (verified) {
     case 10:  // X509_V_ERR_CERT_HAS_EXPIRED
-      return "the server's certificate has expired: have it renewed there; or this machine's clock is wrong (`date`)";
+      return "renew the server's certificate, which has expired, or set this computer's clock (`date`)";
     case 9:  // ..._CERT_NOT_YET_VALID
-      return "the server's certificate is not valid yet: most probably this machine's clock is wrong (`date`)";
+      return "check this computer's clock (`date`): the server's certificate is not valid yet";
     case other_host_name:
     case 64:  // ..._IP_ADDRESS_MISMATCH
-      return "the server's certificate is for another name: use that name in `" + key +
-             "`, or have the certificate made for this one";
+      return "use the name of the server's certificate in `" + key + "`, or get a certificate for this name";
     case 18:  // ..._DEPTH_ZERO_SELF_SIGNED_CERT
     case 19:  // ..._SELF_SIGNED_CERT_IN_CHAIN
-      return "the server's certificate is self-signed: give it (or that of its authority) as `tls.ca_file`, if you "
-             "know that it is right";
+      return "if you trust the server's self-signed certificate, set `tls.ca_file` to its file, or to that of its "
+             "authority";
     default:
-      return "this machine does not trust the authority that signed the server's certificate: give the authority's as "
-             "`tls.ca_file`, or install the package ca-certificates";
+      return "set `tls.ca_file` to the certificate of the authority that signed the server's, or install the package "
+             "ca-certificates";
   }
 }
 
@@ -39,7 +38,7 @@ namespace {
 
 constexpr std::size_t most_written = 16384;  // bytes of a TLS record
 
-/// What OpenSSL says of the last failure, the first cause of it; empties its queue.
+/// OpenSSL's text for the last failure, from its first cause; empties its error queue.
 std::string last_reason() {
   const unsigned long code = ERR_get_error();
   ERR_clear_error();
@@ -86,7 +85,7 @@ Result<std::shared_ptr<const TlsContext>> TlsContext::load(const TlsConfig& conf
   impl->is_verified = config.verify;
   SSL_CTX* const context = impl->context.get();
   const auto refuse = [](const std::string& path, const char* advice) {
-    return Error{Errc::bad_data, "cannot use for TLS", path, last_reason(), advice};
+    return Error{Errc::bad_data, "cannot use a file for TLS", path, last_reason(), advice};
   };
   if (context == nullptr) return refuse("OpenSSL", "");
   SSL_CTX_set_min_proto_version(context, TLS1_2_VERSION);
@@ -96,12 +95,12 @@ Result<std::shared_ptr<const TlsContext>> TlsContext::load(const TlsConfig& conf
     const int loaded = config.ca_file.empty() ? SSL_CTX_set_default_verify_paths(context)
                                               : SSL_CTX_load_verify_file(context, config.ca_file.c_str());
     if (loaded != 1)
-      return refuse(config.ca_file.empty() ? "the authorities of this machine" : config.ca_file,
-                    "`tls.ca_file` must exist, be readable, and be PEM");
+      return refuse(config.ca_file.empty() ? "the authorities of this computer" : config.ca_file,
+                    "check `tls.ca_file`: it must exist, be readable, and be PEM");
   }
   if (!config.certificate.empty()) {
     constexpr const char* advice = "check the files `tls.certificate` and `tls.key`, and `tls.key_password`";
-    SSL_CTX_set_default_passwd_cb(context, password_of);  // else OpenSSL asks at the terminal
+    SSL_CTX_set_default_passwd_cb(context, password_of);  // otherwise OpenSSL asks at the terminal
     SSL_CTX_set_default_passwd_cb_userdata(context, const_cast<TlsConfig*>(&config));
     if (SSL_CTX_use_certificate_chain_file(context, config.certificate.c_str()) != 1)
       return refuse(config.certificate, advice);
@@ -160,9 +159,10 @@ TlsSession::State TlsSession::failed(int result) {
     error_ = {Errc::not_permitted, "cannot trust the server", "", text_of_verify_result(verified),
               advice_on_certificate(verified, "host")};
   } else {
-    error_ = {Errc::io_failed, "the encrypted connection failed", "",
-              reason.empty() ? "the peer broke the rules of TLS" : reason,
-              "does the server speak TLS at this port? It may also want a client certificate (`tls.certificate`)"};
+    error_ = {
+        Errc::io_failed, "the encrypted connection failed", "",
+        reason.empty() ? "the peer broke the rules of TLS" : reason,
+        "check that the server speaks TLS at this port; it may also need a client certificate (`tls.certificate`)"};
   }
   return State::failed;
 }
@@ -225,7 +225,7 @@ std::string text_of_verify_result(long) { return not_trusted; }
 
 Result<void> load_tls() {
   return Error{Errc::not_found, "cannot encrypt", "", "this program was built without OpenSSL",
-               "install libssl-dev and build it again, or leave `tls` out"};
+               "install libssl-dev and build it again, or remove `tls`"};
 }
 
 struct TlsContext::Impl {};

@@ -18,7 +18,7 @@ std::string advice_on_certificate(long verified, const std::string& key);
 /// OpenSSL's verification error for the peer's certificate in a session of another library (`ssl`: its SSL*); 0: none,
 /// or no OpenSSL.
 long verify_result_of(void* ssl) noexcept;
-/// For people.
+/// For display.
 std::string text_of_verify_result(long verified);
 constexpr long other_host_name = 62;  // X509_V_ERR_HOSTNAME_MISMATCH
 
@@ -59,7 +59,7 @@ class TlsSession {
   };
   State handshake();
   State read(char* to, std::size_t most, std::size_t& got);
-  /// Encrypts up to 16 KiB of it. Returns how many bytes; 0: failed.
+  /// Encrypts up to 16 KiB. Returns the number of bytes; 0: failed.
   std::size_t write(std::span<const std::byte> bytes);
   void send_close_notify();
 

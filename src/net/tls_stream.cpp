@@ -17,8 +17,8 @@ TlsStream::TlsStream(LoopCore& loop, const std::string& owner, std::function<voi
       handshake_limit_(loop.face,
                        [this] {
                          handshake_ended(Error{Errc::timed_out, "cannot connect", peer(),
-                                               "the handshake of TLS took longer than " + to_string(limit_),
-                                               "does the server speak TLS at this port?"});
+                                               "the TLS handshake took longer than " + to_string(limit_),
+                                               "check that the server speaks TLS at this port"});
                        }),
       opened_(std::move(opened)),
       ready_(std::move(ready)) {}
@@ -74,10 +74,10 @@ void TlsStream::shake_hands() {
     if (receive()) continue;
     if (!end_) return watch();
     return handshake_ended(
-        *end_ != 0 ? system_error(*end_, "cannot connect", peer(), "the connection was lost in the handshake")
+        *end_ != 0 ? system_error(*end_, "cannot connect", peer(), "the connection was lost during the TLS handshake")
                    : Error{Errc::disconnected, "cannot connect", peer(),
-                           "the peer has closed the connection in the handshake of TLS",
-                           "does the server speak TLS at this port? Its log may say more"});
+                           "the peer closed the connection during the TLS handshake",
+                           "check that the server speaks TLS at this port; see its log"});
   }
 }
 

@@ -1,4 +1,4 @@
-// A TCP connection to a server that may be encrypted: as TcpStream, with a handshake of TLS before it is open.
+// A TCP connection to a server that may be encrypted: like TcpStream, with a TLS handshake before it is open.
 #pragma once
 
 #include <functional>
@@ -28,7 +28,7 @@ class TlsStream {
   /// After a `write` with EAGAIN, pass the same data to the next `write`.
   ssize_t read(char* to, std::size_t most);
   ssize_t write(const std::byte* from, std::size_t size);
-  /// Whether there is something to read that was received already: `ready` is not called for that.
+  /// True if data that was already received can be read: `ready` is not called for it.
   bool has_unread() const noexcept { return session_ && session_->has_unread(); }
   Error failure(int error_number) const;
   /// See TcpStream.
@@ -41,7 +41,7 @@ class TlsStream {
   void stream_ready();
   void shake_hands();
   void handshake_ended(const Result<void>& result);
-  /// Asks to be called while the connection takes bytes, where that is needed.
+  /// Requests calls while the connection accepts bytes, if needed.
   void watch();
   /// Passes received bytes to the session. False: none. `end_` tells if the connection has ended.
   bool receive();
@@ -63,7 +63,7 @@ class TlsStream {
   bool wants_to_write_ = false;  // the user
   bool is_watched_ = false;      // for that, or for what the session has to send
   std::optional<int> end_;       // errno of the connection; 0: the peer has closed it
-  std::size_t encrypted_ = 0;    // bytes that the last write was given, and that are not all sent
+  std::size_t encrypted_ = 0;    // bytes of the last write that are not completely sent
 };
 
 }  // namespace rtdata::detail

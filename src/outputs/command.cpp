@@ -18,7 +18,7 @@ namespace {
 constexpr const char* cannot_set_command = "cannot set the value by the program";
 constexpr std::size_t longest_errors = 4096;
 
-/// Reads what is there, so that the program is not held back, and keeps the end of it.
+/// Reads the available output, so that the program is not blocked, and keeps its end.
 void read_printed(int fd, std::string& kept) {
   std::array<char, 4096> bytes;
   for (int i = 0; i < 64; ++i) {
@@ -49,7 +49,7 @@ void check_config(const CommandActuatorConfig& config, const ConfigItem& item, P
   const auto refuse = [&](const char* why) { problems.add((run != nullptr ? *run : item).problem("bad-value", why)); };
   if (config.run.empty() || config.run.front().empty()) return refuse("there is no program");
   if (std::none_of(config.run.begin() + 1, config.run.end(), detail::has_value_mark))
-    refuse("each value would run the same: write {value} in an argument where it belongs");
+    refuse("every value would run the same command: write {value} into an argument");
 }
 
 Result<void> CommandActuator::open(std::optional<double> value) { return value ? set(*value) : Result<void>(); }
@@ -72,8 +72,8 @@ Result<void> CommandActuator::set(double value) {
     if (ready < 0 && errno != EINTR) return system_error(errno, cannot_set_command, run.front());
     if (ready == 0)
       return Error{Errc::timed_out, cannot_set_command, run.front(),
-                   "the program did not end in " + to_string(config_.timeout),
-                   "it was ended; `timeout` sets how long it may take"};
+                   "the program did not end within " + to_string(config_.timeout),
+                   "set a longer `timeout`, or check the program: it was ended"};
     if (ready < 0) continue;
     read_printed(started->output, printed);
     read_printed(started->errors, errors);

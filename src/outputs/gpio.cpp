@@ -33,7 +33,7 @@ Result<void> GpioActuator::set(double value) {
 
 Result<void> GpioActuator::check() {
   if (line_.is_there()) return {};
-  return Error{Errc::disconnected, cannot_set_gpio, line_.place(), "the chip has gone", "plug it in again"};
+  return Error{Errc::disconnected, cannot_set_gpio, line_.place(), "the chip is gone", "plug it in again"};
 }
 
 }  // namespace rtdata

@@ -85,7 +85,7 @@ Result<int> OutputGuard::Link::introduce(const std::string& name, double safe, c
     return Error{
         Errc::does_not_fit, cannot, "",
         "the text of its settings and sources has more than " + std::to_string(detail::most_guarded_text) + " bytes",
-        "give it fewer or shorter settings"};
+        "use fewer or shorter settings"};
   const std::lock_guard lock(mutex);
   const auto free = std::find(is_taken.begin(), is_taken.end(), false);
   if (free == is_taken.end())
@@ -146,9 +146,9 @@ void OutputGuard::Link::await_end(Loop& loop, const std::string& output, int its
     const bool is_reported = got == sizeof answer;
     if (is_reported && answer.kind != detail::GuardAnswer::ended) return;
     const bool is_safe = is_reported && answer.code == 0;
-    loop.runtime().core().log(
-        is_safe ? LogLevel::warning : LogLevel::error, ending->output,
-        is_reported ? detail::text_of_end(answer.result()) : "its guard has ended, and nothing tries to set it safe");
+    loop.runtime().core().log(is_safe ? LogLevel::warning : LogLevel::error, ending->output,
+                              is_reported ? detail::text_of_end(answer.result())
+                                          : "its guard has ended, and no other process tries to set it safe");
     if (is_safe) note(ending->output, true);
     std::list<Ending> over;  // is destroyed without the lock
     const std::lock_guard again(mutex);
@@ -156,7 +156,7 @@ void OutputGuard::Link::await_end(Loop& loop, const std::string& output, int its
   };
   try {
     ending->watch = FdWatch(loop, its_socket, FdWatch::readable, output, receive);
-  } catch (...) {  // the loop ends, too: the guard finds the socket closed
+  } catch (...) {  // the loop ends, too: the guard sees that the socket is closed
     endings.erase(ending);
     throw;
   }

@@ -24,7 +24,7 @@ namespace rtdata {
 namespace detail {
 
 inline constexpr std::size_t most_guarded = OutputGuard::most_outputs;
-/// More than `check` counts: includes settings that a file leaves out.
+/// More than `check` counts: includes settings that are not in the file.
 inline constexpr std::size_t most_guarded_text = OutputGuard::most_bytes + 8192;
 
 /// In ns of CLOCK_MONOTONIC. A line of cache each.
@@ -45,7 +45,7 @@ struct GuardIntroduction {
   std::uint32_t slot = 0;
   double safe = 0;
   std::array<char, 64> name{};  // "output pump", for messages
-  std::int32_t priority = 0;    // SCHED_FIFO, above all tiers; 0: none of them has one
+  std::int32_t priority = 0;    // SCHED_FIFO priority, above all tiers; 0: no tier has one
 };
 
 /// How long the guard tries to set an ended output safe.
@@ -60,7 +60,7 @@ struct GuardOrder {
 
 struct GuardAnswer {
   enum Kind : std::uint32_t { answered, tripped, vanished, ended };
-  Kind kind = answered;   // answer to an order, or an own message of the guard: no turn, no device, result of its end
+  Kind kind = answered;   // answer to an order, or a message of the guard itself: no turn, no device, result of its end
   std::int32_t code = 0;  // an Errc; 0: the device has the value
   std::array<char, 96> what{};
   std::array<char, 160> where{}, why{}, advice{};
@@ -88,15 +88,15 @@ struct GuardAnswer {
   }
 };
 
-/// The result of an output that ended without its safe value, for people. Errors: closed (the guard never had its
+/// The result of an output that ended without its safe value, as a text. Errors: closed (the guard never had its
 /// device), busy (another guard has it), the device's error.
 inline std::string text_of_end(const Result<void>& done) {
   if (done) return "it has its safe value now";
   if (done.error().code == make_error_code(Errc::closed))
-    return "its device could not be opened, and is as it was: " + done.error().why;
+    return "its device could not be opened and keeps its value: " + done.error().why;
   if (done.error().code == make_error_code(Errc::busy))
     return "another output has its device now, and the guard no longer tries to set it safe";
-  return "its device has not taken the safe value for " + to_string(longest_after_end) +
+  return "its device has not accepted the safe value for " + to_string(longest_after_end) +
          ", and the guard no longer tries: " + done.error().why;
 }
 
@@ -117,14 +117,14 @@ struct OutputGuard::Link {
   void await_end(Loop& loop, const std::string& output, int its_socket);
   /// Extends the beats of all outputs of a loop while the loop waits for an output's device.
   void beat_for(const Loop& loop) noexcept;
-  /// How an output ended, or that it is there again.
+  /// How an output ended, or that it was made again.
   void note(const std::string& output, bool is_safe);
 
-  std::atomic<bool> is_ending{false};  // the program is: outputs are to be safe
+  std::atomic<bool> is_ending{false};  // the program ends: outputs must be safe
   int socket = -1;
   pid_t process = -1;
   detail::GuardBeat* beats = nullptr;
-  std::mutex mutex;  // of what follows: outputs are made on the threads of all loops
+  std::mutex mutex;  // protects the members below: outputs are made on the threads of all loops
   struct Ending {
     ~Ending();
     std::string output;

@@ -52,7 +52,7 @@ class GuardPort final : public OutputPort {
     return {};
   }
   Result<void> set(double value) override { return send({GuardOrder::set, 1U, value}); }
-  /// Afterwards the guard knows the output no more.
+  /// Afterwards the guard does not know the output any more.
   Result<void> finish(std::optional<double> value) override {
     wants_safe_ = value.has_value();
     return finished(exchange({GuardOrder::finish, value ? 1U : 0U, value.value_or(0)}));
@@ -95,14 +95,14 @@ class GuardPort final : public OutputPort {
     loop_.core().lanes.while_waiting.emplace_back(this, [this] { link_->beat_for(loop_); });
     return {};
   }
-  /// A priority with which the guard's thread runs though real-time tiers take all processors; 0: there are none.
+  /// A priority with which the guard's thread runs although real-time tiers use all processors; 0: no such tiers.
   int above_tiers() const {
     int highest = 0;
     for (const TierCore* tier : loop_.core().runtime.main().tiers)
       if (tier->config.policy != SchedulingPolicy::other) highest = std::max(highest, tier->config.priority);
     return highest > 0 ? std::min(highest + 1, priority_range(SchedulingPolicy::fifo).highest) : 0;
   }
-  /// Leaves the socket to the caller; -1: there is none.
+  /// Passes the socket to the caller; -1: there is none.
   int close() noexcept {
     if (socket_ < 0) return -1;
     watch_.close();
@@ -120,7 +120,7 @@ class GuardPort final : public OutputPort {
       link_->await_end(loop_, name_, socket);
     return result;
   }
-  /// What came of the last order.
+  /// The result of the last order.
   void tell(Result<void> result) {
     patience_.stop();
     if (std::exchange(is_finishing_, false)) result = finished(std::move(result));
@@ -139,7 +139,7 @@ class GuardPort final : public OutputPort {
       return {};
     }
     if (socket_ >= 0 && (errno == EAGAIN || errno == ENOBUFS))
-      return Error{Errc::backlog, guard_cannot_set, "", "its guard takes no more orders", "check the device"};
+      return Error{Errc::backlog, guard_cannot_set, "", "its guard accepts no more orders", "check the device"};
     return ended();
   }
   Result<void> exchange(const GuardOrder& order) {

@@ -91,7 +91,7 @@ class Keeper {
         beat_(beat),
         held_([this, &make] { return make(what_); }) {}
 
-  /// Runs until the program has ended or wants the device back.
+  /// Runs until the program has ended or requests the device.
   void run() noexcept {
     while (!is_over_) {
       pollfd one{socket_, POLLIN, 0};
@@ -154,7 +154,7 @@ class Keeper {
     const std::optional<double> value = order.has_value != 0 ? std::optional(order.value) : std::nullopt;
     if (order.kind == GuardOrder::set && (has_tripped_ || is_retrying_) && value != safe_)
       return answer(Error{Errc::not_permitted, "cannot set the output", "", "its guard has set it safe", "arm it"});
-    // Asked before: the device may be free, and who tried may have ended, when it is taken.
+    // Checked first: when the device is opened, it may be free, and the guard that tried may have ended.
     const bool was_ending = !is_open_ && (ending > 0 || is_ending_elsewhere(what_));
     const Result<void> done = order.kind == GuardOrder::finish && !value ? Result<void>() : held_.put(value);
     // After a failed order the device's value is unknown, so the safe value is set when the time is over.
@@ -177,7 +177,7 @@ class Keeper {
     keep_trying();
   }
 
-  /// The program has gone.
+  /// The program has ended.
   void end() noexcept {
     is_over_ = true;
     if (!is_open_ || is_safe_) return;
@@ -203,7 +203,7 @@ class Keeper {
       return;
     }
   }
-  /// On standard error, since the program has gone.
+  /// On standard error, because the program has ended.
   void report_end(const Result<void>& done) const noexcept {
     try {
       const std::string line = std::string(name_of_guard) + ": " + name_ + ": " + text_of_end(done) + "\n";
@@ -229,13 +229,13 @@ class Keeper {
   std::int64_t next_check_ = 0;
   bool is_open_ = false;
   bool is_safe_ = true;
-  bool is_armed_ = false;     // as far as it was told, which it is once the loop turns
+  bool is_armed_ = false;     // as far as the guard was told; it is told when the loop turns
   bool has_tripped_ = false;  // and was not armed since
-  bool is_retrying_ = false;  // the device did not take the safe value when the time was over
+  bool is_retrying_ = false;  // the device did not accept the safe value when the time was over
   bool is_over_ = false;
 };
 
-/// Of an output; -1: the program has gone.
+/// The socket of an output; -1: the program has ended.
 int receive_introduction(int socket, GuardIntroduction& introduction, std::string& text) {
   text.resize(most_guarded_text);
   iovec parts[2]{{&introduction, sizeof introduction}, {text.data(), text.size()}};
@@ -258,7 +258,7 @@ int receive_introduction(int socket, GuardIntroduction& introduction, std::strin
   return received;
 }
 
-/// Of this thread and not of those that an Actuator makes. Where it is not permitted, it runs as others do.
+/// For this thread, not for threads that an Actuator makes. Without permission it runs with normal priority.
 void take_priority(int priority) noexcept {
   if (priority <= 0) return;
   const sched_param parameters{.sched_priority = priority};
@@ -294,7 +294,7 @@ void serve(int socket, GuardBeat* beats, const OutputGuard::Make& make) {
       });
     } catch (const std::exception&) {
       if (is_listed) threads.pop_back();
-      ::close(output);  // by which its output sees that it is not guarded
+      ::close(output);  // its output sees by this that it is not guarded
     }
   }
   for (KeeperThread& one : threads) one.thread.join();
@@ -311,11 +311,11 @@ void close_others(int kept) noexcept {
 }  // namespace
 
 void run_guard(int socket, GuardBeat* beats, const OutputGuard::Make& make) noexcept {
-  // SIGABRT is what a service manager's watchdog sends to all; abort() in an Actuator ends the guard all the same.
+  // SIGABRT is what a service manager's watchdog sends to all; abort() in an Actuator ends the guard nevertheless.
   for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGABRT, SIGALRM, SIGPIPE, SIGUSR1, SIGUSR2, SIGXCPU})
     ::signal(number, SIG_IGN);
   for (const int number : {SIGSEGV, SIGBUS, SIGILL, SIGFPE}) ::signal(number, SIG_DFL);
-  std::set_new_handler(nullptr);  // it goes on, whatever the program does where there is no memory
+  std::set_new_handler(nullptr);  // it continues, whatever the program does without memory
   ::setsid();
   ::prctl(PR_SET_NAME, name_of_guard);
   close_others(socket);

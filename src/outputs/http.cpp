@@ -41,13 +41,13 @@ std::vector<detail::HttpMistake> mistakes_of(const HttpActuatorConfig& config) {
   if (!detail::has_value_mark(config.server.url) &&
       (config.method == HttpSetMethod::get || !detail::has_value_mark(config.text)))
     mistakes.push_back({config.method == HttpSetMethod::get ? "url" : "text",
-                        "each value would send the same request: write {value} where it belongs"});
+                        "every value would send the same request: write {value} into it"});
   return mistakes;
 }
 
 }  // namespace
 
-/// Shared with the thread that does it, which may outlive the actuator.
+/// Shared with the thread of the request, which may outlive the actuator.
 struct HttpActuator::Request {
   explicit Request(HttpActuatorConfig its_config) : config(std::move(its_config)) {}
   Request(const Request&) = delete;
@@ -110,7 +110,7 @@ struct HttpActuator::Request {
                                                               : detail::parse_http_url(config.server.proxy).or_throw();
     detail::HttpJudgement judgement = detail::judge(detail::failure_of(easy, status, error), url.origin, proxy.origin);
     if (status == CURLE_OPERATION_TIMEDOUT) judgement.why.why = "it did not answer within " + to_string(config.timeout);
-    // Whatever came in between: it may be there the next time.
+    // A temporary failure: the server may be reachable the next time.
     const bool is_away = judgement.verdict == detail::HttpVerdict::later && judgement.why.code != Errc::not_permitted;
     return Error{is_away ? Errc::disconnected : judgement.why.code, cannot_set_http, judgement.why.where,
                  detail::hidden(std::move(judgement.why.why), secrets), judgement.why.advice};
@@ -124,7 +124,7 @@ struct HttpActuator::Request {
   detail::HttpText answered;
   char error[CURL_ERROR_SIZE] = "";
 
-  std::mutex mutex;  // of what follows
+  std::mutex mutex;  // protects the members below
   std::condition_variable done;
   bool is_done = false;
   CURLcode status = CURLE_OK;
@@ -155,7 +155,7 @@ Result<void> HttpActuator::set(double value) {
   thread.detach();
   Error error{Errc::disconnected, cannot_set_http, request_->url.origin,
               "its name was not looked up within " + to_string(request_->config.timeout),
-              "do the name servers answer? An address needs no looking up"};
+              "check the name servers, or use an IP address"};
   request_ = std::make_shared<Request>(request_->config);  // the thread has the other one
   request_->make();
   return error;

@@ -18,7 +18,7 @@ class LoopCore;
 /// Its expression, with names and topics, as that of a derived value.
 DerivedConfig derived_of(const OutputConfig& config);
 
-/// Takes no memory for an event. Owner: the output; thread: its loop's.
+/// Allocates no memory for an event. Owner: the output; thread: its loop's.
 class OutputInput {
  public:
   explicit OutputInput(const OutputConfig& config) : OutputInput(config, derived_of(config)) {}
@@ -28,7 +28,7 @@ class OutputInput {
   void put(std::size_t topic, const EventView& event, MonotonicTime now);
   /// Treats earlier events as if they came now.
   void begin(MonotonicTime now) { came_.assign(sources_.all().size(), now); }
-  /// The last events of topics that bring one only when something changes, as if they came now.
+  /// Takes the last events of topics that publish only changes, as if they came now.
   void recall(Loop& loop, const std::function<void(std::size_t, const EventView&)>& take) {
     sources_.recall(loop, take);
   }

@@ -23,7 +23,7 @@ Result<void> HeldActuator::put(std::optional<double> value) noexcept {
       result = made->open(value);
       if (result) actuator_ = std::move(made);
     }
-    // One that refuses a value keeps the device, with what that has.
+    // An actuator that refuses a value keeps the device, with its value.
     if (!result && result.error().code != Errc::out_of_range) actuator_.reset();
     return result;
   } catch (const SetupError& thrown) {
@@ -82,7 +82,7 @@ class LanePort final : public OutputPort {
   }
   Result<void> begin_finish(std::optional<double> value) override {
     if (job_ == nullptr) return submit(value, longest_wait, true);
-    end_ = End{value};  // after what is under way
+    end_ = End{value};  // after the running job
     return {};
   }
   Result<void> wait_for_end() override {
@@ -106,7 +106,7 @@ class LanePort final : public OutputPort {
     LanePort* port = nullptr;  // null: it has gone
     std::shared_ptr<HeldActuator> held;
     std::optional<double> value;
-    bool is_last = false;  // then the device is given back
+    bool is_last = false;  // then the device is released
     Result<void> result;
   };
   struct End {
@@ -155,7 +155,7 @@ class LanePort final : public OutputPort {
   std::shared_ptr<Job> job_;      // under way
   Duration limit_ = longest_set;  // of that
   bool hangs_ = false;
-  std::optional<End> end_;   // to come after that
+  std::optional<End> end_;   // the next order
   bool is_waiting_ = false;  // on the loop, for the answer
   Result<void> answer_;
   Lane lane_;

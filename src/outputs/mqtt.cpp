@@ -22,7 +22,7 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_set_mqtt = "cannot set by MQTT";
-constexpr int longest_wait_ms = 100;  // for something to come
+constexpr int longest_wait_ms = 100;  // for waiting for data
 constexpr Duration between_attempts = std::chrono::milliseconds{200};
 constexpr Duration goodbye_limit = std::chrono::milliseconds{300};
 
@@ -41,10 +41,9 @@ std::vector<Mistake> mistakes_of(const MqttActuatorConfig& config) {
   add("to", detail::obstacle_of_topic(config.to));
   if (config.broker.tls)
     for (const TlsMistake& mistake : mistakes_of(*config.broker.tls)) add("tls", mistake.key + ": " + mistake.message);
-  add("qos", config.qos > 2 ? "it is 0, 1 or 2" : "");
-  add("text", detail::has_value_mark(config.text)
-                  ? ""
-                  : "each value would send the same message: write {value} where it belongs");
+  add("qos", config.qos > 2 ? "it must be 0, 1 or 2" : "");
+  add("text",
+      detail::has_value_mark(config.text) ? "" : "every value would send the same message: write {value} into it");
   return mistakes;
 }
 
@@ -116,7 +115,7 @@ struct MqttActuator::Link {
     is_lost = true;
     changed.notify_all();
   }
-  /// Has the library do what there is to do, and waits a little for that. The status is the library's.
+  /// Lets the library do its work, and waits a little for it. The status is the library's.
   int turn(detail::MqttClient& client, int socket) {
     const auto wants_write = [&] { return mosquitto_want_write(client.handle); };
     pollfd fds[2] = {{socket, static_cast<short>(POLLIN | (wants_write() ? POLLOUT : 0)), 0}, {wake, POLLIN, 0}};
@@ -176,8 +175,8 @@ struct MqttActuator::Link {
     const bool is_refusal = is_refused();
     return {is_refusal ? Errc::not_permitted : Errc::disconnected, cannot_set_mqtt,
             config.broker.host + " port " + std::to_string(detail::port_of(config.broker)), std::move(why),
-            is_refusal ? "check `user`, `password` and `client_id`, and what the broker lets them do"
-                       : "is the broker running, and does the network reach it?"};
+            is_refusal ? "check `user`, `password` and `client_id`, and their permissions at the broker"
+                       : "check that the broker runs, and that the network reaches it"};
   }
   /// Returns whether its thread has ended.
   bool end() noexcept {
@@ -198,7 +197,7 @@ struct MqttActuator::Link {
   const int wake = ::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);  // from waiting for the broker
   std::thread thread;                                         // the actuator's
 
-  std::mutex mutex;  // of what follows
+  std::mutex mutex;  // protects the members below
   std::condition_variable changed;
   mosquitto* handle = nullptr;  // while it is connected
   Trouble trouble;              // the last one

@@ -28,12 +28,12 @@ std::string refusal_of(const OutputConfig& config) {
   if (!std::isfinite(config.safe)) return "`safe` is not a finite number";
   if (config.on.empty()) {
     if (!config.expression.empty() || !config.with.empty() || config.hysteresis || config.pid)
-      return "`expression`, `with`, `hysteresis` and `pid` need the topic `on` that the output follows";
+      return "`expression`, `with`, `hysteresis` and `pid` need `on`, the topic that the output follows";
     return "";
   }
   if (config.lease != Duration{0})
-    return "`lease` is for outputs that `set` sets; an output that follows a topic has `max_age`";
-  if (config.hysteresis && config.pid) return "give `hysteresis` or `pid`, not both";
+    return "`lease` works only for outputs that `set` sets; use `max_age` for an output that follows a topic";
+  if (config.hysteresis && config.pid) return "use `hysteresis` or `pid`, not both";
   return "";
 }
 
@@ -78,7 +78,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     }
     if (!port_->is_guarded()) {
       this->loop()->runtime.log(LogLevel::info, name(),
-                                "no guard holds it: nothing sets its safe value when this program hangs or crashes");
+                                "it has no guard: no process sets its safe value if this program hangs or crashes");
       return;
     }
     beat_ = Ticker(loop, {.period = config_.watchdog / 4, .name = name() + " watchdog"},
@@ -89,7 +89,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (state_ == State::stopped) return stopped();
     if (!std::isfinite(value)) return refusal(Errc::bad_argument, "the value is not a finite number", "");
     if (input_)
-      return refusal(Errc::bad_argument, "it follows the topic \"" + config_.on + "\"", "disarm it to hold it safe");
+      return refusal(Errc::bad_argument, "the output follows the topic \"" + config_.on + "\"",
+                     "disarm it to hold it safe");
     const Order order{value, OutputCause::set, fitting<48>(by), now()};
     if (is_over_) {
       record(order, {}, program_ends);
@@ -105,12 +106,13 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     }
     if (is().left) {
       record(order, {}, given_back);
-      return refusal(Errc::busy, given_back, "after a reload, set it again");
+      return refusal(Errc::busy, given_back, "set it again after the reload");
     }
-    if (state_ == State::failed) {  // while its safe value is on its way, the order follows that
+    if (state_ == State::failed) {  // while its safe value is being set, the order waits for it
       record(order, {}, "the device has failed");
-      return refusal(Errc::io_failed, "the device has failed",
-                     "the output is set safe as soon as the device takes that; set it then");
+      return refusal(
+          Errc::io_failed, "the device has failed",
+          "the program sets the safe value as soon as the device accepts it; set the output again after that");
     }
     last_set_ = now();
     if (config_.lease > Duration{0} && !lease_.is_running()) lease_.start(config_.lease);
@@ -121,7 +123,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
 
   Result<void> arm(std::string_view by) {
-    if (is().left) return refusal(Errc::busy, given_back, "after a reload, arm it then");
+    if (is().left) return refusal(Errc::busy, given_back, "arm it after the reload");
     if (!is().held) return stopped();
     if (is_over_) return refusal(Errc::closed, program_ends, "");
     if (is_lost_) return refusal(Errc::disconnected, "its guard has ended: it stays safe", "start the program again");
@@ -222,7 +224,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     OutputCause cause = OutputCause::start;
     text<48> by = {};
     MonotonicTime asked{};
-    bool is_repeat = false;  // of the value that is on its way: it is only needed when the device does not take that
+    bool is_repeat = false;  // repeats the value that is being set: used only if the device does not accept it
   };
 
   /// The state of its device.
@@ -236,17 +238,17 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
         {false, false, false, false},  // stopped
         {true,  true,  false, false},  // taking: the device is being opened while the loop turns
         {true,  false, false, false},  // ready
-        {true,  true,  false, false},  // busy: a value is on its way
+        {true,  true,  false, false},  // busy: a value is being set
         {true,  false, true,  false},  // failed: the safe value is tried repeatedly
         {true,  true,  true,  false},  // mending: the safe value is being set
-        {false, false, false, true},   // ending: `finish` was called, and is not over
-        {false, false, false, true},   // left: it is over
+        {false, false, false, true},   // ending: `finish` was called, and is not complete
+        {false, false, false, true},   // left: `finish` is complete
     };
     // clang-format on
     return all[static_cast<std::size_t>(state)];
   }
   Standing is() const noexcept { return standing(state_); }
-  /// Of a device that is held, and was taken.
+  /// For a device that is held and was opened.
   void be(bool busy, bool failing) noexcept {
     if (!is().held || state_ == State::taking) return;
     state_ = failing ? (busy ? State::mending : State::failed) : (busy ? State::busy : State::ready);
@@ -254,7 +256,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   static constexpr const char* program_ends = "the program ends";
   static constexpr const char* cannot_control = "cannot change the controller";
-  static constexpr const char* given_back = "its device is being given back";
+  static constexpr const char* given_back = "its device is being released";
 
   std::string name() const { return "output " + origin_.name; }
   std::string object_name() const override { return name(); }
@@ -316,7 +318,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     stale_.start(config_.max_age);
   }
 
-  /// The device is taken while the loop turns, as a value that is on its way.
+  /// The device is opened while the loop turns, like a value that is being set.
   void begin_taking() {
     beat();
     state_ = State::taking;
@@ -373,7 +375,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   void stop_watching() noexcept {
     if (std::exchange(is_watched_, false)) port_->disarm();
   }
-  /// Nothing is asked for any more.
+  /// Drops all requested values.
   void end_orders(State next) {
     const State was = std::exchange(state_, next);
     for (Timer* timer : {&stale_, &lease_, &retry_, &patience_, &turning_}) timer->stop();
@@ -405,7 +407,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     for (Callback<void()>& done : std::exchange(ended_, {})) loop()->post(std::move(done));
   }
 
-  /// Asks for the value, or notes that there is nothing to do.
+  /// Requests the value, or records that there is nothing to do.
   void request(const Order& order) {
     const bool is_asked = order.cause == OutputCause::set || order.cause == OutputCause::input;
     const double last = next_ ? next_->value : is().busy ? busy_.value : value_.value_or(std::nan(""));
@@ -417,7 +419,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       }
       if (is_asked) return repeated();
       if (!is().busy) return record(order, value_, "");
-      return record(order, {}, "this value is on its way to the device already");
+      return record(order, {}, "this value is already being sent to the device");
     }
     if (!is().busy) return send(order);
     if (next_ && next_->is_repeat) {
@@ -426,7 +428,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
       ++origin_.counts.received;
       ++origin_.counts.filtered;
     } else if (next_) {
-      record(*next_, {}, "superseded before the device was ready");
+      record(*next_, {}, "replaced by a newer value before the device was ready");
     }
     next_ = order;
   }
@@ -476,7 +478,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     const bool was_failing = is().failing;
     be(false, true);
     if (!was_failing) complain(error, Health::faulted);
-    // Its handler may have stopped it, and started it again.
+    // Its handler may have stopped and restarted it.
     const bool goes_on = is_open() && is().failing;
     if (goes_on && !was_failing && (waiting || busy_.value != config_.safe)) {
       set_safe(OutputCause::failure, "");
@@ -485,8 +487,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     }
     if (waiting) follow_failure(*waiting);
   }
-  /// What was asked for while a value was on its way that failed: it is set after the safe value, if the device takes
-  /// that at once.
+  /// A value requested while another one was being set that failed: it is set after the safe value, if the device
+  /// accepts that at once.
   void follow_failure(Order order) {
     if (!is().busy || next_ || !is_armed_) return record(order, {}, "the device failed");
     order.is_repeat = order.value == busy_.value;
@@ -503,7 +505,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (state_ == State::taking)
       return complain(
           {Errc::timed_out, "the output cannot be set yet", name(),
-           "its device has not answered for " + to_string(slow_start), "the next value waits; check the device"},
+           "its device has not answered for " + to_string(slow_start), "check the device; the next value waits"},
           Health::degraded);
     // Started with an earlier value, which was answered.
     if (const MonotonicTime due = sent_ + answer_limit; due > now()) return patience_.start_at(due);
@@ -516,7 +518,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
 
   // ---- The guard
 
-  /// A guard that has ended takes nothing: the program keeps the output safe, as in `lost`, and does not arm it again.
+  /// A guard that has ended accepts no output: the program keeps the output safe, as in `lost`, and does not arm it
+  /// again.
   void take_guard(Loop& loop, OutputGuard& guard, const std::string& guarded) {
     try {
       port_ = make_guard_port(loop, name(), guard, guarded, config_.safe, *this);
@@ -542,15 +545,15 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     port_->beat(now + config_.watchdog);
     look_at_guard();
   }
-  /// It looks at the beat once in a watchdog's time at least, while the output is not safe. After a pause of the beats
-  /// it may have made the output safe, and looks no more.
+  /// While the output is not safe, the guard checks the beat at least once in the watchdog time. After a pause of the
+  /// beats it may have made the output safe, and then checks no more.
   void look_at_guard() {
     const std::optional<MonotonicTime> seen = port_->guard_seen();
     const bool is_silent = is().held && !is().busy && value_ && *value_ != config_.safe && seen &&
                            now() - std::max(*seen, turning_since_) > 4 * config_.watchdog;
     if (!std::exchange(is_guard_silent_, is_silent) && is_silent)
-      complain({Errc::timed_out, "nothing would set the output safe", name(), "its guard does not run",
-                "find what has stopped the process rtdata-guard"},
+      complain({Errc::timed_out, "no process would set the output safe", name(), "its guard does not run",
+                "find out what stopped the process rtdata-guard"},
                Health::faulted);
   }
   void tripped(const Result<void>& done) override {
@@ -564,7 +567,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (next_) record(*std::exchange(next_, std::nullopt), {}, "it is disarmed");
     if (input_) input_->follow(config_.safe);
     report_trip(done);
-    // The device may have taken it since: asking is how that is known.
+    // The device may have accepted the value since; setting it again shows this.
     if (is_open() && state_ == State::failed) set_safe(OutputCause::failure, "");
   }
   void vanished(const Error& error) override {
@@ -575,7 +578,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (input_) input_->follow(config_.safe);
     record({config_.safe, OutputCause::failure, {}, now()}, {}, error.why);
     complain(placed(error), Health::faulted);
-    // A value that is on its way takes the device anew; what comes of that is answered.
+    // A value that is being set opens the device again; its result is answered.
     if (is_open() && state_ == State::failed) set_safe(OutputCause::failure, "");
   }
   void report_trip(const Result<void>& done) {
@@ -584,11 +587,11 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     record({config_.safe, OutputCause::watchdog, fitting<48>("guard"), now()}, value_, done ? "" : done.error().why);
     Error error{Errc::not_turning, "the guard has set the output to its safe value", name(),
                 "the loop did not turn for " + to_string(config_.watchdog),
-                "find what held it, then arm the output again"};
+                "find out what held the loop, then arm the output again"};
     if (!done) {
       error.what = "the guard could not set the output to its safe value";
-      error.why += ", and the device did not take the value: " + done.error().why;
-      error.advice = "check the device: the safe value is sent again until the device takes it";
+      error.why += ", and the device did not accept the value: " + done.error().why;
+      error.advice = "check the device: the safe value is sent again until the device accepts it";
     }
     complain(error, done ? Health::degraded : Health::faulted);
   }
@@ -626,10 +629,10 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (input_->has_held() && !turning_.is_running()) turning_.start(Duration{0});
     if (hanging_ != nullptr || !input_->computes_with(topic)) return;
     const std::optional<double> value = input_->evaluate(time, now());
-    if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "check what is measured");
+    if (!input_->why().empty()) return go_stale(Errc::bad_data, input_->why(), "check the measured value");
     if (!value) return;
     if (const std::string why = range_.refusal(*value); !why.empty())
-      return go_stale(Errc::out_of_range, why, "check what is measured, and the expression");
+      return go_stale(Errc::out_of_range, why, "check the measured value, and the expression");
     last_input_ = now();
     is_stale_ = false;
     const OutputInput::Silence silence = input_->silence();
@@ -653,7 +656,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     go_stale(Errc::timed_out,
              "the topic \"" + *silence.topic + "\" has had " +
                  (is_silent ? "no event" : "only events without a value") + " for " + to_string(config_.max_age),
-             "the output follows it again with its next event; a longer `max_age` bridges longer pauses");
+             "the output follows the topic again with its next event; a longer `max_age` bridges longer pauses");
   }
   /// A loop's last event is valid as long as that loop turns, because it would publish a change.
   void look_at_loops() {
@@ -665,9 +668,9 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     turning_.start(std::max(config_.max_age / 4, Duration{std::chrono::milliseconds{1}}));
     if (hanging_ != nullptr && before == nullptr)
       go_stale(Errc::not_turning,
-               "loop " + hanging_->config.name + ", which would tell of changes, has not turned for " +
-                   to_string(config_.max_age),
-               "the output follows it again when that loop turns; find what blocks there");
+               "loop " + hanging_->config.name + " has not turned for " + to_string(config_.max_age) +
+                   ", so changes of the topic are unknown",
+               "find out what blocks that loop; the output follows the topic again when it turns");
     if (hanging_ == nullptr && before != nullptr) recall();
   }
   void go_stale(Errc code, const std::string& why, std::string advice) {
@@ -676,7 +679,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     complain({code, "the output is being set to its safe value", name(), why, std::move(advice)},
              worst(Health::degraded));
   }
-  /// Nothing is set, and so nothing to set again.
+  /// Ends the lease, because no value is set.
   void end_lease() {
     lease_.stop();
     is_overdue_ = false;
@@ -687,13 +690,13 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (const MonotonicTime due = last_set_ + config_.lease; due > now()) return lease_.start_at(due);
     is_overdue_ = true;
     set_safe(OutputCause::lease, "");
-    complain(
-        {Errc::timed_out, "the output is being set to its safe value", name(),
-         "no program or command has set it for " + to_string(config_.lease), "set it again if it is to keep its value"},
-        worst(Health::degraded));
+    complain({Errc::timed_out, "the output is being set to its safe value", name(),
+              "no program or command has set it for " + to_string(config_.lease),
+              "set the output again, more often than `lease`"},
+             worst(Health::degraded));
   }
 
-  // ---- What is told
+  // ---- Reports
 
   Health worst(Health health) const { return health_now() == Health::faulted ? Health::faulted : health; }
   Health health_now() const {
@@ -735,19 +738,19 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   std::vector<Subscription> subscriptions_;
   std::unique_ptr<OutputPort> port_;
   std::optional<double> value_;  // the value that the device has
-  Order busy_;                   // on its way, if there is one
+  Order busy_;                   // the value that is being set, if any
   std::optional<Order> next_;
   Order stop_order_;
   std::vector<Callback<void(Result<void>)>> when_taken_;
-  Result<void> taken_;                     // an error: it could not be taken
-  std::vector<Callback<void()>> ended_;    // when what `finish` began is over
+  Result<void> taken_;                     // an error: the device could not be opened
+  std::vector<Callback<void()>> ended_;    // called when `finish` is complete
   std::vector<Callback<void()>> waiting_;  // for an event that says whether it is armed
   MonotonicTime last_set_{}, last_input_{}, last_beat_{}, turning_since_{}, sent_{};
   const LoopCore* hanging_ = nullptr;  // on which it depends
   State state_ = State::stopped;
   bool is_over_ = false;     // the program ends
-  bool is_watched_ = false;  // the guard knows that it is armed
-  bool is_patient_ = false;  // the output begins, whatever its device says
+  bool is_watched_ = false;  // the guard was told that it is armed
+  bool is_patient_ = false;  // the output starts, whatever its device answers
   bool is_armed_ = false;
   bool published_armed_ = false;  // by the last event
   bool is_stale_ = false;
@@ -784,8 +787,8 @@ Output::Output(Loop& loop, OutputConfig config, MakeActuator make, std::string g
 
 namespace {
 
-/// On its loop's thread: a tier's may be another one than this. `otherwise`: when it is closed. The function owns what
-/// it uses.
+/// Calls the function on the thread of the output's loop, which for a tier may differ from this one. `otherwise`: the
+/// result if it is closed. The function must own what it uses.
 template <class Returned, class Function>
 Returned with(detail::Node* node, Returned otherwise, Function function) {
   if (node == nullptr || !node->is_open()) return otherwise;
@@ -797,7 +800,7 @@ Returned with(detail::Node* node, Returned otherwise, Function function) {
       });
 }
 
-/// For what answers with an error.
+/// For calls that return an error.
 template <class Function>
 Result<void> ordered(detail::Node* node, Function function) {
   try {
@@ -807,7 +810,7 @@ Result<void> ordered(detail::Node* node, Function function) {
     return error.error();
   }
 }
-/// By somebody, whose name the other thread is given to keep; here it is used as it is, without memory.
+/// The same with the name of the caller: another thread gets a copy; on this thread it is used without allocation.
 template <class Function>
 Result<void> ordered_by(detail::Node* node, std::string_view by, const char* what, Function function) {
   const auto order = [what, function](detail::OutputNode& output, std::string_view who) {
@@ -818,7 +821,7 @@ Result<void> ordered_by(detail::Node* node, std::string_view by, const char* wha
     return ordered(node, [order, by = std::string(by)](detail::OutputNode& output) { return order(output, by); });
   return ordered(node, [order, by](detail::OutputNode& output) { return order(output, by); });
 }
-/// For what cannot be refused. `unknown`: when its loop does not turn.
+/// For calls that cannot be refused. `unknown`: the result if its loop does not turn.
 template <class Returned, class Function>
 Returned asked(detail::Node* node, Returned otherwise, Returned unknown, const Function& function) noexcept {
   try {

@@ -22,7 +22,7 @@ class HeldActuator {
   explicit HeldActuator(MakeActuator make) : make_(std::move(make)) {}
   /// Opens the device with the value if it is not open; otherwise sets the value. Without a value it only opens.
   Result<void> put(std::optional<double> value) noexcept;
-  /// Of the one that is held, which is given up after an error.
+  /// Checks the open device; after an error the device is given up.
   Result<void> check() noexcept;
   void give_back() noexcept { actuator_.reset(); }
 
@@ -34,12 +34,12 @@ class HeldActuator {
 /// Owner: the output; thread: its loop's.
 class OutputPort {
  public:
-  static constexpr Duration longest_wait = std::chrono::seconds{5};  // for a device to be taken or given back
+  static constexpr Duration longest_wait = std::chrono::seconds{5};  // for opening or releasing a device
   class Listener {
    public:
     /// The result of the last `set`, `begin_open` or `begin_finish`. May destroy the port.
     virtual void answered(Result<void> result) = 0;
-    /// The guard has set the safe value, or tries until the device takes it. It takes no other value until `arm`.
+    /// The guard has set the safe value, or tries until the device accepts it. It accepts no other value until `arm`.
     virtual void tripped(const Result<void>& done) = 0;
     /// The device with a value has disappeared. The next `set` opens it again.
     virtual void vanished(const Error& error) = 0;
@@ -56,23 +56,23 @@ class OutputPort {
   virtual Result<void> begin_open(std::optional<double> value) = 0;
   /// Sets a value; call it only after the last one was answered. `answered` follows unless this returns an error.
   virtual Result<void> set(double value) = 0;
-  /// Waits, also for a value that is under way, whose answer never comes; then the device is given back.
+  /// Waits, also for a value that is being set, which is then not answered; then releases the device.
   virtual Result<void> finish(std::optional<double> value) = 0;
-  /// The same without waiting, also for a value that is under way: what comes of it is `answered`, within
-  /// `longest_wait` once that value is there. An error: it is over already.
+  /// The same without waiting, also if a value is being set: the result is `answered`, within `longest_wait` after that
+  /// value is set. An error: it has already ended.
   virtual Result<void> begin_finish(std::optional<double> value) = 0;
-  /// Waits for what `begin_finish` began, which is then not `answered`.
+  /// Waits for the end of `begin_finish`, which is then not `answered`.
   virtual Result<void> wait_for_end() = 0;
   /// The result for `tripped` that was not delivered before the end. Empty: the guard has not tripped since.
   virtual std::optional<Result<void>> late_trip() const { return {}; }
   /// The loop turns: the guard waits until this time.
   virtual void beat(MonotonicTime) noexcept {}
-  /// When the guard has last shown that it is there, of an output that is not safe. None: there is no guard.
+  /// When the guard has last shown that it runs, for an output that is not safe. Empty: there is no guard.
   virtual std::optional<MonotonicTime> guard_seen() const noexcept { return {}; }
   /// From now on the output is disarmed if its loop does not turn, even at its safe value.
   virtual void arm() noexcept {}
   virtual void disarm() noexcept {}
-  /// The program ends: the output is to be safe (OutputGuard::make_all_safe).
+  /// True if the program ends and the output must be safe (OutputGuard::make_all_safe).
   virtual bool is_to_end() const noexcept { return false; }
   virtual bool is_guarded() const noexcept { return false; }
 };

@@ -33,7 +33,7 @@ Result<void> PwmActuator::open(std::optional<double> value) {
   const auto channels = detail::read_kernel_file(chip + "/npwm", cannot_use);
   if (!channels) return channels.error();
   if (config_.channel >= number_in(chip + "/npwm"))
-    return Error{Errc::not_found, cannot_use, chip, "it has " + *channels + " channels, from 0 on", ""};
+    return Error{Errc::not_found, cannot_use, chip, "it has " + *channels + " channels, counted from 0", ""};
   folder_ = chip + "/pwm" + std::to_string(config_.channel);
   if (::access(folder_.c_str(), F_OK) != 0) {
     const auto exported = detail::write_kernel_file(chip + "/export", std::to_string(config_.channel), cannot_use);

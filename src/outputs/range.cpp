@@ -1,4 +1,4 @@
-// Which values an output can have: its device's, compared with what a configuration sets.
+// Which values an output can have: those of its device, compared with those in a configuration.
 #include <cmath>
 #include <exception>
 #include <utility>
@@ -18,8 +18,8 @@ struct Constant {
   std::size_t column;
 };
 
-/// The numbers that the value of a text may be, as far as the text shows them: itself, what `? :` may choose, and of a
-/// condition 0 and 1. Of a text with a mistake none.
+/// The constant results of an expression that its text shows: a constant, the choices of `? :`, and for a condition 0
+/// and 1. A text with a mistake has none.
 std::vector<Constant> constants_of(const std::string& text) {
   using Type = detail::ExpressionNode::Type;
   std::vector<Constant> constants;
@@ -73,7 +73,7 @@ OutputRange range_of(const MakeActuator& make) noexcept {
   try {
     const std::unique_ptr<Actuator> actuator = make ? make() : nullptr;
     if (actuator != nullptr) return actuator->range();
-  } catch (...) {  // the start says why there is none
+  } catch (...) {  // the start reports why there is none
   }
   return {};
 }
@@ -83,16 +83,16 @@ void check_output_values(const OutputConfig& config, const OutputRange& range, c
   const auto check = [&](double value, const ConfigItem& at, const char* what) {
     if (const std::string why = range.refusal(value); !why.empty()) problems.add(at.problem("bad-value", what + why));
   };
-  check(config.safe, child_or_self(item, "safe"), item.find("safe") != nullptr ? "" : "`safe` is 0 unless given: ");
+  check(config.safe, child_or_self(item, "safe"), item.find("safe") != nullptr ? "" : "`safe` is 0 by default: ");
   if (config.hysteresis) {
     const ConfigItem& at = child_or_self(item, "hysteresis");
     check(0, at, "off is 0: ");
     check(1, at, "on is 1: ");
   } else if (config.pid) {
     const ConfigItem& at = child_or_self(item, "pid");
-    if (range.is_whole) {  // nearly each of its values would be refused
+    if (range.is_whole) {  // nearly all of its values would be refused
       problems.add(at.problem("bad-value",
-                              "a `pid` gives fractions, and the device takes whole numbers alone: use `hysteresis`"));
+                              "a `pid` gives fractions, but the device accepts only whole numbers: use `hysteresis`"));
       return;
     }
     check(config.pid->least, child_or_self(at, "least"), at.find("least") != nullptr ? "" : "`least` is 0: ");

@@ -20,7 +20,7 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_set_serial = "cannot set the device";
-constexpr const char* not_bytes = "these are not bytes: two hexadecimal digits each, such as \"a0 01 00 a1\"";
+constexpr const char* not_bytes = "these are not bytes: write two hexadecimal digits for each, such as \"a0 01 00 a1\"";
 constexpr Duration greeting = std::chrono::milliseconds{100}, stillness = std::chrono::milliseconds{20};
 using Deadline = std::chrono::steady_clock::time_point;
 
@@ -79,7 +79,7 @@ void SerialActuatorConfig::check(const SerialActuatorConfig& config, const Confi
     problems.add((at != nullptr ? *at : item).problem("bad-value", std::move(why)));
   };
   if (!config.answer.empty() && !config.answer_hex.empty())
-    refuse("answer_hex", "there is an `answer` too; remove one of them");
+    refuse("answer_hex", "there is also an `answer`: remove one of them");
   if (const auto bytes = detail::bytes_of_hex(config.answer_hex); !bytes) refuse("answer_hex", not_bytes);
   for (const auto& [value, hex] : config.words_hex) {
     const auto bytes = detail::bytes_of_hex(hex);
@@ -88,13 +88,13 @@ void SerialActuatorConfig::check(const SerialActuatorConfig& config, const Confi
   if (!config.words_hex.empty()) {
     detail::check_words(config.words_hex, item, problems, "words_hex");
     if (!config.words.empty() || item.find("text") != nullptr)
-      refuse("words_hex", "there are `text` or `words` too; remove them, or this");
+      refuse("words_hex", "there is also a `text` or `words`: remove those, or this");
     return;
   }
   if (detail::has_value_mark(config.text)) return;
   const ConfigItem* const text = item.find("text");
   problems.add((text != nullptr ? *text : item)
-                   .problem("bad-value", "each value would send the same text: write {value} where it belongs"));
+                   .problem("bad-value", "every value would send the same text: write {value} into it"));
 }
 
 SerialActuator::SerialActuator(SerialActuatorConfig config)
@@ -126,7 +126,7 @@ Result<void> SerialActuator::open(std::optional<double> value) {
   if (!opened) return opened.error();
   fd_ = *opened;
   if (!config_.host.empty() && !answer_.empty() && wait_for(fd_, POLLIN, std::chrono::steady_clock::now() + greeting)) {
-    do drop_input(fd_);  // what it says at first is no answer
+    do drop_input(fd_);  // the first data is not an answer
     while (wait_for(fd_, POLLIN, std::min(until, std::chrono::steady_clock::now() + stillness)));
   }
   return value ? set(*value) : Result<void>();
@@ -161,7 +161,7 @@ Result<void> SerialActuator::set(double value) {
     } else if (sent != 0 || !before.empty()) {
       unsent().keep(place_, sent > before.size() ? rest : std::string_view(before).substr(sent));
     }
-    return late("it takes nothing");
+    return late("it does not accept data");
   }
   if (answer_.empty()) return {};
   std::string got;
@@ -179,14 +179,14 @@ Result<void> SerialActuator::set(double value) {
 }
 
 Result<void> SerialActuator::check() {
-  pollfd one{fd_, POLLRDHUP, 0};  // that it was hung up is told without being asked for
+  pollfd one{fd_, POLLRDHUP, 0};  // a hang-up is always reported
   if (::poll(&one, 1, 0) <= 0) return {};
   return gone();
 }
 
 Error SerialActuator::gone() const {
   return {Errc::disconnected, cannot_set_serial, place_,
-          config_.host.empty() ? "the device has gone" : "the device has ended the connection",
+          config_.host.empty() ? "the device is gone" : "the device has closed the connection",
           config_.host.empty() ? "plug it in again" : "check the device and the network"};
 }
 

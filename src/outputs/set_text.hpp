@@ -1,4 +1,4 @@
-// Values as texts, for devices that are set by one.
+// Values as texts, for devices that are set by a text.
 #pragma once
 
 #include <array>
@@ -12,7 +12,7 @@
 
 namespace rtdata::detail {
 
-/// As short as it is exact: 1, 0.5.
+/// The shortest exact text: 1, 0.5.
 inline std::string number_text(double value) {
   std::array<char, 32> text;
   return {text.data(), std::to_chars(text.data(), text.data() + text.size(), value).ptr};
@@ -39,7 +39,7 @@ inline void check_words(const std::map<std::string, std::string>& words, const C
       const ConfigItem* const twice = item.find(name);
       problems.add((twice != nullptr ? *twice : item)
                        .problem("bad-value", other->second + " and " + key + " are both written \"" + word +
-                                                 "\": the device could not tell them apart"));
+                                                 "\": the device could not distinguish them"));
     }
     double value = 0;
     const auto [end, failed] = std::from_chars(key.data(), key.data() + key.size(), value);
@@ -47,7 +47,7 @@ inline void check_words(const std::map<std::string, std::string>& words, const C
     if (is_number && number_text(value) == key) continue;
     const ConfigItem* const at = item.find(name);
     problems.add((at != nullptr ? *at : item)
-                     .problem("bad-value", "\"" + key + "\" is no value" +
+                     .problem("bad-value", "\"" + key + "\" is not a value" +
                                                (is_number ? ": it is written " + number_text(value) : std::string())));
   }
 }

@@ -42,7 +42,7 @@ ExpressionTree tree_of(std::string_view text, const std::vector<std::string>& na
       std::string nearest = nearest_name(tree.names[i], normal);
       std::string why = "there is no name `" + tree.names[i] + "`";
       if (nearest.empty() && !normal.empty()) {
-        why += "; there are";
+        why += "; available:";
         for (std::size_t n = 0; n < normal.size() && n < 8; ++n) why += " " + normal[n];
         if (normal.size() > 8) why += " ...";
       }
@@ -53,7 +53,7 @@ ExpressionTree tree_of(std::string_view text, const std::vector<std::string>& na
   return tree;
 }
 
-/// Beside those of ExpressionFailure.
+/// In addition to those of ExpressionFailure.
 constexpr auto waiting = static_cast<Failure>(0xFF);
 
 /// The result of evaluating a part. `at`: for a waiting or non-finite name, its index in the values; for another
@@ -103,7 +103,7 @@ Failure failure_of(int flags, double value) noexcept {
 }  // namespace
 
 struct Expression::Program {
-  /// One of arithmetic: between values, whose place is known.
+  /// An arithmetic step between values whose places are known.
   struct Instruction {
     detail::ExpressionOp op = {};
     detail::Compute compute = nullptr;
@@ -118,7 +118,7 @@ struct Expression::Program {
     std::uint32_t column = 1;
     std::uint32_t division_column = 0;
   };
-  /// A step that gives a value, or a reason for none, at every event.
+  /// A step that gives a value, or the reason for its absence, at every event.
   struct Step {
     enum class Type : std::uint8_t { formula, memory, logical_not, logical_and, logical_or, choice };
     Type type = Type::formula;
@@ -245,7 +245,7 @@ struct Expression::Program {
         return;
       case Type::logical_and:
       case Type::logical_or: {
-        const bool decides = step.type == Type::logical_or;  // such a side decides alone
+        const bool decides = step.type == Type::logical_or;  // such a side decides the result
         const Got &left = values[step.a], &right = values[step.b];
         for (const Got* side : {&left, &right})
           if (side->is_value() && (side->value != 0) == decides) return set_truth(got, decides);
@@ -531,9 +531,9 @@ class Expression::Compiler {
     program_.steps.resize(before);
     const Got got = program_.values[place];
     const std::size_t column = tree_.nodes[node.children[1]].column;
-    if (!got.is_value()) refuse(column, "the seconds of `" + node.text + "` are no finite number");
+    if (!got.is_value()) refuse(column, "the seconds of `" + node.text + "` are not a finite number");
     if (!(got.value >= 1e-6 && got.value <= 604800))
-      refuse(column, "the seconds of `" + node.text + "` lie between 0.000001 and 604800 (a week)");
+      refuse(column, "the seconds of `" + node.text + "` must be from 0.000001 to 604800 (a week)");
     return Duration{std::llround(got.value * 1e9)};
   }
 
@@ -573,7 +573,7 @@ class Expression::Compiler {
     return formula;
   }
 
-  /// The place of what it computes.
+  /// The place of its result.
   std::uint32_t write(std::size_t at, Constants constants, Program::Formula& formula) {
     const Node& node = tree_.nodes[at];
     if (node.type == Type::number || (constants == Constants::computed && is_constant(at))) return compile(at);
@@ -661,7 +661,7 @@ Expression::Expression(std::string_view text, std::vector<std::string> names) {
       if (normal_name(names[i]) == normal_name(names[n]))
         throw SetupError({Errc::bad_argument, "cannot make an expression",
                           "\"" + std::string(text.substr(0, 60)) + "\"",
-                          "two of its names are the same: " + names[n] + " and " + names[i], "give each name once"});
+                          "two names are the same: " + names[n] + " and " + names[i], "give each name once"});
   try {
     program_ = std::make_unique<Program>(text, std::move(names));
   } catch (detail::ExpressionMistakeFound& found) {

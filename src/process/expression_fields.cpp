@@ -54,7 +54,8 @@ std::vector<std::string> names_of(const std::vector<std::string>& texts) {
 }
 
 Problem problem_of(const ExpressionMistake& mistake, const ConfigItem& at) {
-  Problem problem = at.problem("bad-value", mistake.why + " (column " + std::to_string(mistake.column) + " of it)",
+  Problem problem = at.problem("bad-value",
+                               mistake.why + " (column " + std::to_string(mistake.column) + " of the expression)",
                                mistake.suggestion);
   if (problem.place.line > 0) problem.place.column += mistake.column;
   return problem;
@@ -74,8 +75,8 @@ void check_field_names(const std::string& text, const std::vector<std::string>& 
     if (first == nullptr || first->find(constant) == nullptr) continue;
     const auto with_it = Expression::names_in(text, {constant});
     if (!with_it || with_it->size() == names.size()) continue;
-    problems.add(at.problem("bad-value", "`" + std::string(constant) + "` means the constant, but topic \"" +
-                                             topics[0] + "\" has a field of that name, too: for the field, write '" +
+    problems.add(at.problem("bad-value", "`" + std::string(constant) + "` is the constant here, but the topic \"" +
+                                             topics[0] + "\" also has a field with this name: for the field, write '" +
                                              constant + "' in quotes, or `" + Expression::normal_name(topics[0]) + "." +
                                              constant + "`"));
   }

@@ -14,7 +14,7 @@
 
 namespace rtdata::detail {
 
-/// A field of one of several topics. Of the first of them, a path alone is enough as a name.
+/// A field of one of several topics. For the first topic, the path alone is enough as a name.
 struct FieldName {
   std::size_t topic = 0;  ///< among the topics
   std::string path = {};  ///< of the field; empty: the topic alone was named
@@ -29,7 +29,7 @@ const Leaf* leaf_named(const Description& description, const FieldName& field, c
 const Leaf* state_leaf(const Description& description) noexcept;
 /// True if a text of the payload equals `text`.
 bool holds_text(const Leaf& leaf, const std::byte* payload, std::string_view text) noexcept;
-/// All names that the texts use, each once. Of texts with a mistake, none.
+/// All names in the texts, each once; none of texts with a mistake.
 std::vector<std::string> names_of(const std::vector<std::string>& texts);
 
 /// The problem at its column in the file, exact if no escapes precede it.

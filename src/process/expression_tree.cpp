@@ -118,7 +118,7 @@ class Parser {
     throw ExpressionMistakeFound{{tree_.nodes[node].column, std::move(why), {}}};
   }
   [[noreturn]] void unexpected() const {
-    if (token_ == Token::end) fail("the expression ends where a value is missing");
+    if (token_ == Token::end) fail("the expression ends, but a value is missing");
     if (token_ == Token::symbol && word_ == ")") fail("a `)` without its `(`");
     if (token_ == Token::symbol && word_ == "=") fail("a single `=` does not compare: write `==`");
     fail("`" + std::string(word_) + "` is not possible here");
@@ -174,9 +174,8 @@ class Parser {
     if (stop < text_.size() && (is_letter(text_[stop]) || is_digit(text_[stop]) || text_[stop] == '.')) {
       while (stop < text_.size() && (is_letter(text_[stop]) || is_digit(text_[stop]) || text_[stop] == '.')) ++stop;
       fail("`" + std::string(text_.substr(at_, stop - at_)) +
-           "` is not a number: units are not written, a product has a `*`, and a name that begins with a digit stands "
-           "in "
-           "single quotes");
+           "` is not a number: units are not written, a product needs a `*`, and a name that begins with a digit must "
+           "be in single quotes");
     }
     value_ = value;
     take(Token::number, stop);
@@ -388,8 +387,7 @@ class Parser {
     if (token_ == Token::quoted) return variable(std::string(word_.substr(1, word_.size() - 2)));
     if (token_ != Token::name) unexpected();
     for (const std::string_view word : {"and", "or", "not"})
-      if (word_ == word)
-        fail("`" + std::string(word) + "` has no value on its left, or stands where a value is missing");
+      if (word_ == word) fail("`" + std::string(word) + "` has no value on its left, or it is in the place of a value");
     const std::string word(word_);
     const std::size_t behind = text_.find_first_not_of(" \t\r\n", at_);
     if (behind != std::string_view::npos && text_[behind] == '(') return call(word);
@@ -431,7 +429,7 @@ class Parser {
     const auto memory = std::find_if(memory_functions.begin(), memory_functions.end(),
                                      [&](const MemoryFunction& one) { return one.name == word; });
     if (function == functions.end() && memory == memory_functions.end()) {
-      if (word == "log") fail("`log` may be either of two: write `ln` or `log10`");
+      if (word == "log") fail("`log` has two meanings: write `ln` or `log10`");
       if (word == "if") fail("there is no `if`: write `condition ? a : b`");
       if (word == "avg") fail("there is no function `avg`", "average");
       if (word == "pow") fail("there is no function `pow`: a power is `^`");
@@ -458,8 +456,8 @@ class Parser {
       fail_at(called_at, "`" + word + "` takes " + wanted + ", not " + std::to_string(given));
     };
     if (function != functions.end()) {
-      if (given == 1 && function->most == any_number)  // who writes so thinks of former values
-        fail_at(called_at, "`" + word + "` takes several values of one event; for one value over time use `highest`, " +
+      if (given == 1 && function->most == any_number)  // the writer probably means earlier values
+        fail_at(called_at, "`" + word + "` needs several values of one event; for one value over time use `highest`, " +
                                "`lowest`, `mean` or `integral`");
       if (given < function->least || given > function->most)
         refuse(function->most == any_number
@@ -482,9 +480,9 @@ class Parser {
     node.memory = *meant;
     node.text = word;
     if (!has_name(node.children[0]))
-      fail_node(node.children[0], "what `" + word + "` remembers has no name in it, and so never changes");
+      fail_node(node.children[0], "the first argument of `" + word + "` has no field in it, so it never changes");
     if (given == 2 && has_name(node.children[1]))
-      fail_node(node.children[1], "the seconds of `" + word + "` are a constant, without names in it");
+      fail_node(node.children[1], "the seconds of `" + word + "` must be a constant, without names");
     if (++memories_ > Expression::max_memories)
       fail_at(called_at, "more than " + std::to_string(Expression::max_memories) + " functions with a memory");
     return add(std::move(node));

@@ -34,18 +34,19 @@ Result<void> check_limits(const LimitSettings& settings) {
     if (!std::isfinite(*one.second)) return refuse(std::string("`") + one.first + "` is not finite", "give a number");
     if (before != nullptr && !(*before->second < *one.second))
       return refuse(std::string("`") + before->first + "` is not less than `" + one.first + "`",
-                    "low_low < low < high < high_high");
+                    "choose them so that low_low < low < high < high_high");
     before = &one;
   }
   if (before == nullptr) return refuse("there is no limit", "give `low_low`, `low`, `high` or `high_high`");
   if (!(settings.hysteresis >= 0) || !std::isfinite(settings.hysteresis))
-    return refuse("`hysteresis` must be 0 or more", "a little more than the noise of the value");
+    return refuse("`hysteresis` must be 0 or more", "set it a little larger than the noise of the value");
   const auto lower = settings.low ? settings.low : settings.low_low;
   const auto upper = settings.high ? settings.high : settings.high_high;
   if (lower && upper && settings.hysteresis >= *upper - *lower)
-    return refuse("`hysteresis` is as large as the distance of the limits: the value could never be normal again",
-                  "a little more than the noise of the value");
-  if (settings.delay < Duration{0}) return refuse("`delay` is negative", "0 for none");
+    return refuse(
+        "`hysteresis` is as large as the distance between the limits: the value could never become normal again",
+        "set it a little larger than the noise of the value");
+  if (settings.delay < Duration{0}) return refuse("`delay` is negative", "set it to 0 or more");
   return {};
 }
 

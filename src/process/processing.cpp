@@ -37,59 +37,59 @@ struct Finder {
       add("calibration.scale", "it is not a finite number other than 0", "such as 2.5");
     if (!std::isfinite(c.offset)) add("calibration.offset", "it is not a finite number", "such as -0.1");
     if (!c.polynomial.empty() && !c.table.empty())
-      add("calibration.table", "there is a polynomial already", "leave one of the two out");
+      add("calibration.table", "there is a polynomial already", "remove one of the two");
     if (c.polynomial.size() == 1 || c.polynomial.size() > most_coefficients) {
       add("calibration.polynomial", "it has " + std::to_string(c.polynomial.size()) + " coefficients",
-          "give it 2 to " + std::to_string(most_coefficients) + ", from that of the constant on");
+          "use 2 to " + std::to_string(most_coefficients) + ", beginning with the constant");
     }
     if (!std::all_of(c.polynomial.begin(), c.polynomial.end(), [](double one) { return std::isfinite(one); }))
       add("calibration.polynomial", "a coefficient is not a finite number", "such as [0, 1.5, 0.02]");
     if (c.table.size() == 1 || c.table.size() > most_points) {
       add("calibration.table", "it has " + std::to_string(c.table.size()) + " points",
-          "give it 2 to " + std::to_string(most_points));
+          "use 2 to " + std::to_string(most_points));
     }
     for (std::size_t i = 0; i < c.table.size(); ++i) {
       const std::string place = "calibration.table[" + std::to_string(i) + "]";
       if (!std::isfinite(c.table[i][0]) || !std::isfinite(c.table[i][1]))
-        add(place, "it has what is not a finite number", "such as [0.5, 12]");
+        add(place, "it contains a value that is not a finite number", "such as [0.5, 12]");
       else if (i > 0 && c.table[i][0] <= c.table[i - 1][0])
-        add(place, "the table does not ascend here", "put the points in the order of their first numbers, each once");
+        add(place, "the table is not in ascending order here",
+            "sort the points by their first numbers, each number once");
     }
     if (!c.points.empty()) look_at_points(c);
     if (!std::isfinite(c.tare)) add("calibration.tare", "it is not a finite number", "such as 12.5");
     if (c.outside != OutsideTable::refuse && c.table.empty())
-      add("calibration.outside", "there is no table, so no value can be outside of one",
-          "leave it out, or add a `table`");
+      add("calibration.outside", "there is no table that a value could be outside of", "remove it, or add a `table`");
     look_at_bounds("calibration", c.least, c.most);
   }
 
   void look_at_points(const Calibration& c) {
     if (c.scale != 1 || c.offset != 0 || !c.polynomial.empty() || !c.table.empty())
-      add("calibration.points", "beside points there is neither scale, offset, polynomial nor table",
-          "leave those out: the points give the whole line");
+      add("calibration.points", "with `points`, there can be no `scale`, `offset`, `polynomial` or `table`",
+          "remove those: the points give the whole line");
     if (c.points.size() < 2 || c.points.size() > most_points) {
       return add("calibration.points",
                  "it has " + std::to_string(c.points.size()) + (c.points.size() == 1 ? " point" : " points"),
-                 "give it 2 to " + std::to_string(most_points));
+                 "use 2 to " + std::to_string(most_points));
     }
     const std::size_t before = mistakes.size();
     std::map<double, std::size_t> known;
     for (std::size_t i = 0; i < c.points.size(); ++i) {
       const std::string place = "calibration.points[" + std::to_string(i) + "]";
       if (!std::isfinite(c.points[i][0]) || !std::isfinite(c.points[i][1])) {
-        add(place, "it has what is not a finite number", "such as [123.4, 0]");
+        add(place, "it contains a value that is not a finite number", "such as [123.4, 0]");
       } else if (const auto [at, is_new] = known.emplace(c.points[i][0], i); !is_new) {
         add(place, "it has the raw value of points[" + std::to_string(at->second) + "]",
-            "give each raw value once, such as with the mean of its true values");
+            "use each raw value once, such as with the mean of its true values");
       }
     }
     if (mistakes.size() != before) return;
     const CalibrationLine line = line_through(c.points);
     if (!std::isfinite(line.slope) || !std::isfinite(line.y) || !std::isfinite(line.largest))
-      add("calibration.points", "their line is not one of finite numbers", "give it points that are farther apart");
+      add("calibration.points", "the numbers of their line are not finite", "use points that are farther apart");
     else if (line.slope == 0)
-      add("calibration.points", "their line gives the same value for every raw one",
-          "give it points with other true values");
+      add("calibration.points", "their line gives the same value for every raw value",
+          "use points with different true values");
   }
 
   void look_at_bounds(const std::string& where, const std::optional<double>& least, const std::optional<double>& most) {
@@ -110,7 +110,7 @@ struct Finder {
     };
     const auto only_of = [&](const char* key, bool is_set, std::initializer_list<FilterType> types) {
       if (!is_set || std::find(types.begin(), types.end(), f.type) != types.end()) return;
-      add(where + "." + key, "a filter of this type has no such setting", "leave it out, or set another `type`");
+      add(where + "." + key, "a filter of this type has no such setting", "remove it, or set another `type`");
     };
     only_of("of", f.of.has_value(), {FilterType::median, FilterType::mean});
     only_of("weight", f.weight.has_value(), {FilterType::exponential});
@@ -125,10 +125,10 @@ struct Finder {
         return count(2, longest_mean, "a");
       case FilterType::exponential:
         if (!f.weight || !(*f.weight > 0 && *f.weight <= 1))
-          add(where + ".weight", "the weight of the new value is not above 0 and up to 1", "such as 0.2");
+          add(where + ".weight", "the weight of the new value must be above 0, up to 1", "such as 0.2");
         return;
       case FilterType::clamp:
-        if (!f.least && !f.most) add(where + ".least", "it has no bound", "set `least`, `most` or both");
+        if (!f.least && !f.most) add(where + ".least", "it has no limit", "set `least`, `most` or both");
         return look_at_bounds(where, f.least, f.most);
       case FilterType::throttle:
         if (!f.time || *f.time <= Duration{0}) add(where + ".time", "the time is missing", "such as \"1 s\"");
@@ -151,11 +151,11 @@ struct Finder {
       const std::string where = "filters[" + std::to_string(i) + "]";
       look_at(p.filters[i], where);
       if (p.filters[i].type == FilterType::rate_of_change && std::exchange(has_rate, true))
-        add(where, "there is a rate of change already", "remove one: both would be in " + field + ".rate");
+        add(where, "there is already a rate of change", "remove one: both would be in " + field + ".rate");
     }
     if (p.unit && !p.calibration)
-      add("unit", "without a calibration the value keeps its unit", "add a `calibration`, or remove the unit");
-    if (!p.calibration && p.filters.empty()) add("", "there is nothing to do", "give it a `calibration` or `filters`");
+      add("unit", "a value without a calibration keeps its unit", "add a `calibration`, or remove the unit");
+    if (!p.calibration && p.filters.empty()) add("", "there is nothing to do", "add a `calibration` or `filters`");
   }
 
   /// Of the field in the description. False: none that can be processed.
@@ -169,8 +169,8 @@ struct Finder {
       return false;
     }
     if (detail::is_integer_kind(found->kind) && detail::changes_value(p) && field.find('[') != std::string::npos) {
-      add("", "the elements of an array of integers are of one type, and this one would become a double",
-          "name the whole array, or use only throttle, delta and rate_of_change");
+      add("", "all elements of an array of integers have one type, and this element would become a double",
+          "process the whole array, or use only throttle, delta and rate_of_change");
       return false;
     }
     return true;
@@ -300,7 +300,7 @@ void check_config(const FieldProcessing& config, const ConfigItem& item, Problem
   }
   const ConfigItem* const points = item.find("calibration.points");
   if (points != nullptr && points->is_array() && points->size() == 0)
-    problems.add(points->problem("bad-value", "it has 0 points; give it 2 to " + std::to_string(most_points)));
+    problems.add(points->problem("bad-value", "it has 0 points; use 2 to " + std::to_string(most_points)));
 }
 
 std::shared_ptr<const Description> processed(const std::shared_ptr<const Description>& description,

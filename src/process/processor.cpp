@@ -97,7 +97,7 @@ Processor::Processor(std::shared_ptr<const Description> source, const Processing
 void Processor::plan_copies() {
   for (std::size_t i = 0; i < source_->leaves().size(); ++i) {
     const Leaf& from = source_->leaves()[i];
-    const Leaf& to = published_->leaves()[i];  // added ones are behind those of the source
+    const Leaf& to = published_->leaves()[i];  // added fields come after those of the source
     if (from.kind == to.kind) add_copy(from, to);
   }
 }
@@ -521,7 +521,7 @@ void Processor::take_means(std::size_t lanes, Op& op) noexcept {
     x[i] = (is_across ? since[i] + sums[op.at * lanes + i] : since[i]) / op.filled;
 }
 
-/// Since the instant before, whose last value stands for it.
+/// Since the previous instant, which is represented by its last value.
 bool Processor::put_rates(const Group& group, Op& op) noexcept {
   double* const last = numbers_.data() + op.first;
   double* const before = last + group.count;
@@ -557,20 +557,20 @@ Error Processor::error(const std::string& sensor) const {
       error.advice = "check the sensor: only finite numbers can be calibrated or filtered";
       break;
     case Failure::not_finite:
-      error.why = "calibrated and filtered, it is not a finite number";
+      error.why = "after calibration and filters, it is not a finite number";
       error.advice = "check its calibration";
       break;
     case Failure::outside_table:
       error.why = value + " is outside the table of its calibration";
       error.advice =
-          "extend the table, or set `outside`: \"extend\" goes on straight, \"clamp\" keeps the value of the end";
+          "extend the table, or set `outside`: \"extend\" continues the last line, \"clamp\" keeps the last value";
       break;
     case Failure::below:
-      error.why = value + " is below " + bound + ", the least";
+      error.why = value + " is below " + bound + " (`least`)";
       error.advice = "check the sensor, or `least` of its calibration";
       break;
     case Failure::above:
-      error.why = value + " is above " + bound + ", the most";
+      error.why = value + " is above " + bound + " (`most`)";
       error.advice = "check the sensor, or `most` of its calibration";
       break;
   }

@@ -11,7 +11,7 @@
 
 namespace rtdata::detail {
 
-/// All memory is taken when it is made. Thread: the loop's of its sensor.
+/// All memory is allocated at construction. Thread: the loop's of its sensor.
 class Processor {
  public:
   /// `source`: what the sensor gives. ProcessingError.
@@ -61,7 +61,7 @@ class Processor {
     Duration time{0};
   };
   /// Values that go through the same steps, side by side: dispatching costs the group no more than one value. An
-  /// optional one is alone in its group.
+  /// optional value has its own group.
   struct Group {
     Kind from = Kind::f64;
     Kind to = Kind::f64;

@@ -13,9 +13,9 @@ namespace rtdata::detail {
 bool changes_value(const FieldProcessing& processing) noexcept;
 bool has_rate(const FieldProcessing& processing) noexcept;
 
-/// The values that a field of a processing stands for: one, or the elements of an array.
+/// The values of a field of a processing: one, or the elements of an array.
 std::vector<const Leaf*> leaves_of(const Description& description, std::string_view path);
-/// The item that a mistake is shown at: that of the key, or the nearest one that it lies in.
+/// The item at which a mistake is shown: the item of the key, or the nearest one that contains it.
 const ConfigItem& item_of(const ConfigItem& item, std::string_view key);
 
 }  // namespace rtdata::detail

@@ -8,14 +8,14 @@ namespace {
 
 constexpr double g = 9.80665;
 constexpr double fast = 230;          // m/s; from two thirds of the speed of sound on, static ports are wrong
-constexpr double long_locked = 22;    // s; whatever is believed of the speed, the barometer is heard again then
-constexpr double unknown_speed = 60;  // m/s of deviation: then any height would be believed
+constexpr double long_locked = 22;    // s; after this time the barometer is used again, whatever the estimated speed
+constexpr double unknown_speed = 60;  // m/s of deviation: above this, any height would be accepted
 constexpr double stretch = 3;         // s
-constexpr double longest = 5.7;       // s, that there is room for
+constexpr double longest = 5.7;       // s, for which there is room
 constexpr double square(double x) { return x * x; }
 constexpr double seconds_of(Duration duration) { return std::chrono::duration<double>(duration).count(); }
 
-/// A polynomial through a stretch: its value, slope and curvature at the end, and how far the points are from it.
+/// A polynomial through a stretch of points: its value, slope and curvature at the end, and the residual of the points.
 struct Fit {
   double value = 0, slope = 0, curvature = 0, rest = 1e9;
   double value_variance = 0, slope_variance = 0, curvature_variance = 0;  // for points with a variance of 1
@@ -69,8 +69,8 @@ class Sums {
   double yy_ = 0;
 };
 
-/// A polynomial through the latest `length` seconds of the filter's heights. Where it `feels`, of what they are over
-/// the path by the accelerometer.
+/// A polynomial through the latest `length` seconds of the filter's heights; with `feels`, of their difference from the
+/// path by the accelerometer.
 template <class Filter>
 Fit fit_of(const Filter& f, double length, std::size_t degree, bool feels) {
   Sums sums;
@@ -132,7 +132,7 @@ void VerticalKalman::apply(double time, const VerticalReadings& readings) {
   f.state.acceleration = f.x[2];
   f.state.height_deviation = std::sqrt(std::max(0.0, f.p[0][0]));
   f.state.speed_deviation = std::sqrt(std::max(0.0, f.p[1][1]));
-  // While the barometer is refused and climbs, one of both is wrong.
+  // While the barometer is refused and climbs, one of the two sensors is wrong.
   if (f.state.is_flying && f.refused_at > -1e8 && f.state.unchanged < 1) {
     const double sigma = std::max(config_.noise, f.noise);
     Fit fit;
@@ -146,7 +146,7 @@ void VerticalKalman::apply(double time, const VerticalReadings& readings) {
       const bool is_free = std::abs(fit.curvature + 12) < 10 + 3 * sigma * std::sqrt(fit.curvature_variance);
       if ((is_free || f.felt_times > 3) && fit.slope > 3 && fit.slope - f.x[1] > 8 + unsure)
         f.contested = fit.slope - f.x[1], f.contested_at = f.time;
-      else if (f.contested > 0 && fit.rest > 1.8 * sigma + 0.7)  // in a dip it says nothing
+      else if (f.contested > 0 && fit.rest > 1.8 * sigma + 0.7)  // in a dip it shows nothing
         f.contested_at = f.time;
     } else if (f.contested > 0) {
       f.contested_at = f.time;
@@ -163,8 +163,8 @@ bool VerticalKalman::coasts() const {
 
 void VerticalKalman::predict(double dt) {
   Filter& f = now_;
-  // With an accelerometer its changes are followed. Without one, what flies freely is slowed by gravity and drag; of
-  // what burns, falls or stands, nothing is known but that it does not stay as it is.
+  // With an accelerometer, follow its changes. Without one, a freely flying object is slowed by gravity and drag; if it
+  // burns, falls or stands, only a change is expected.
   const double lasts = 2;  // s
   const double keeps = f.state.accelerometer ? 1 : std::exp(-dt / lasts);
   const double mean = coasts() ? -g : 0;
@@ -188,7 +188,7 @@ void VerticalKalman::predict(double dt) {
   p[1][1] += 0.02 * dt;
   p[3][3] += square(0.005 * g) * dt;
   f.step = dt;
-  // An axis that is not upright: the speed is felt wrong by a part of what was gained.
+  // If the axis is not upright, the felt speed is wrong by a part of the gained speed.
   if (f.state.is_flying && f.state.accelerometer && f.felt > 1)
     p[1][1] += 2 * square(0.03) * std::abs(f.gained) * (f.felt - 1) * g * dt;
   p[0][0] = std::min(p[0][0], 1e10), p[1][1] = std::min(p[1][1], 1e7), p[2][2] = std::min(p[2][2], 1e5);
@@ -202,7 +202,7 @@ void VerticalKalman::predict(double dt) {
   if (!f.state.accelerometer || dt > 0.5) f.path_from = f.time;
 }
 
-/// Takes in what was measured of height, speed, acceleration, or of what is felt: acceleration and bias.
+/// Updates the filter with a measured height, speed or acceleration, or with the felt sum of acceleration and bias.
 void VerticalKalman::measure(Measured what, double value, double variance) {
   Filter& f = now_;
   const bool is_felt = what == Measured::felt;
@@ -211,7 +211,7 @@ void VerticalKalman::measure(Measured what, double value, double variance) {
   for (std::size_t i = 0; i < 4; ++i) column[i] = f.p[i][of] + (is_felt ? f.p[i][3] : 0);
   const double s = column[of] + (is_felt ? column[3] : 0) + variance;
   const double rest = value - f.x[of] - (is_felt ? f.x[3] : 0);
-  // A motor that begins or ends is no bias: in flight that is learned of the barometer alone.
+  // The start or end of a motor is not a bias: in flight, the bias is learned only from the barometer.
   const bool keeps_bias = is_felt && f.state.is_flying;
   for (std::size_t i = 0; i < (keeps_bias ? 3u : 4u); ++i) f.x[i] += column[i] / s * rest;
   for (std::size_t i = 0; i < 4; ++i)
@@ -223,7 +223,7 @@ void VerticalKalman::measure(Measured what, double value, double variance) {
   }
 }
 
-/// Whether the accelerometer measures.
+/// Takes a value of the accelerometer. Returns whether it measures.
 bool VerticalKalman::feel(double felt) {
   Filter& f = now_;
   const double passed = std::clamp(f.time - f.felt_at, 0.0, 0.5);
@@ -237,7 +237,7 @@ bool VerticalKalman::feel(double felt) {
   const double pause = f.time - f.felt_at;
   if (pause > 0.3 && std::abs(felt - 1) > 0.5) f.paused_at = f.time;
   if (!is_first && pause > 0.3 && pause < f.step + 1e-6 && f.state.is_flying && f.state.accelerometer) {
-    // Of a pause its ends are known. It changed somewhere between.
+    // For a pause, only the values at its ends are known; the change was somewhere in between.
     const double before = f.x[2], change = (felt - 1) * g - f.x[3] - before;
     const double unknown = 0.15 * std::max(std::abs(before + g), std::abs(before + g + change)) + 0.5;
     f.x[0] += change * square(pause) / 6, f.x[1] += change * pause / 2, f.x[2] += change;
@@ -267,7 +267,7 @@ bool VerticalKalman::feel(double felt) {
     double& end = felt > 0 ? f.upper_end : f.lower_end;
     if (std::abs(end) > 1e8 && (felt > 0 ? felt >= f.highest : felt <= f.lowest)) {
       end = felt;
-      f.p[1][1] += square(same * 8 * g);  // meanwhile it was believed
+      f.p[1][1] += square(same * 8 * g);  // it was used until now
     }
   }
   const bool may_rest = !f.state.is_flying && std::abs(felt - 1) < 0.3;  // a coarse one on the ground
@@ -278,23 +278,24 @@ bool VerticalKalman::feel(double felt) {
     return false;
   }
   if (felt >= f.upper_end || felt <= f.lower_end) {
-    // More than that, or less.
+    // The true value is beyond this end.
     const double least = (felt - 1) * g;
     if (felt > 0 ? f.x[2] < least : f.x[2] > least) measure(Measured::acceleration, least, square(2));
     if (!f.state.is_flying) return false;
-    // It may be 20 g all the time: that is no noise which averages out.
+    // It may be 20 g all the time: this is not noise that averages out.
     f.beyond += passed;
     f.p[1][1] += square(10 * g) * (square(f.beyond) - square(f.beyond - passed));
     if (f.beyond > 0.25) f.is_known = false;
     return false;
   }
-  // Without a motor drag is felt, below 0, until it hangs on a parachute: what is above is adrift.
+  // Without a motor only drag is felt, below 0, until the object hangs on a parachute: larger values mean that the
+  // sensor has drifted.
   const double above = felt - f.x[3] / g;
   if (!f.has_burnt || above < 0.3 || above > 1.6 || f.state.unchanged > 0.5) f.low_at = f.time;
   if (f.time - f.low_at > 1) f.is_doubted = true;
   if (f.is_doubted || f.has_fallen) return false;
   if (f.state.is_flying && f.felt_mean < 0.5 && f.gained > 12) f.has_burnt = true;
-  // A motor that begins or ends is followed at once; between two values it may have been either.
+  // Follow the start or end of a motor at once; between two values it may have been at any time.
   const double a = (felt - 1) * g, rest = a - f.x[2] - f.x[3];
   if (square(rest) > 9 * (f.p[2][2] + f.p[3][3] + square(0.8))) {
     const std::array<double, 3> way = {passed * passed / 6, passed / 2, 1};
@@ -341,7 +342,7 @@ void VerticalKalman::hear(double height) {
   if (!is_first && height == f.height && (f.state.is_flying || f.time - f.changed_at < 0.2))
     return;  // it repeats itself
   if (height != f.height || is_first) {
-    // From the second differences, in which neither height nor speed are.
+    // From the second differences, which contain neither height nor speed.
     const double step = f.time - f.changed_at, before = f.changed_at - f.changed_before;
     if (!was_silent && step > 0 && before > 0 && step < 0.4 && before < 0.4) {
       const double second = (height - f.height) - (f.height - f.height_before) * step / before;
@@ -352,7 +353,7 @@ void VerticalKalman::hear(double height) {
     f.height_before = f.height, f.changed_before = f.changed_at;
     f.height = height, f.changed_at = f.time;
   }
-  // Of the stretch, each is the middle one of three: a single wrong height is none.
+  // In the stretch, each height is the median of three, so that a single wrong height has no effect.
   double middle = height;
   if (f.time - f.third[1].time < 0.5) {
     middle = std::max(std::min(f.third[0].height, height),
@@ -364,7 +365,7 @@ void VerticalKalman::hear(double height) {
   f.third[1] = {f.time, height, f.path};
   const double sigma = std::max(config_.noise, f.noise);
   const double interval = std::clamp(f.changed_at - f.changed_before, 0.001, 0.5);
-  // What a static port adds at speed is no noise that averages out; nor is what the air does.
+  // The error of a static port at speed is not noise that averages out; neither is that of moving air.
   const double port = !f.state.is_flying      ? 0
                       : f.state.accelerometer ? 0.05 * std::clamp(f.x[1] - 60, 0.0, 300.0)
                                               : 4 * square(std::min(f.x[1], 300.0) / 200);
@@ -407,7 +408,7 @@ void VerticalKalman::hear(double height) {
     return;
   }
   const double rest = height - f.x[0];
-  // After a while without it, a single height is no proof: a stretch of them goes the way that is felt.
+  // After some time without it, a single height is not enough: a stretch of heights must follow the felt path.
   if (f.p[0][0] > square(5 * sigma + 8)) {
     const bool feels = f.state.accelerometer;
     const Fit fit = feels ? fit_of(f, speed_deviation > 5 + sigma / 2 ? stretch : 1.2, 1, true)
@@ -424,7 +425,7 @@ void VerticalKalman::hear(double height) {
   if (std::abs(rest) < 5 * std::sqrt(systematic + square(sigma) + 0.25) &&
       std::abs(f.rest_mean) < 4 * std::sqrt(systematic + square(sigma) * std::min(1.0, interval / 0.5)) + 1) {
     measure(Measured::height, height, variance);
-    // What still climbs is slowed by gravity and drag alone.
+    // An object that still climbs is slowed only by gravity and drag.
     if (!f.state.accelerometer && coasts())
       f.x[2] = std::clamp(f.x[2], -g - 8 - 0.0006 * square(f.x[1]), f.x[1] > 0 ? -g + 5 : 10.0);
     f.refused_at = -1e9;
@@ -436,13 +437,13 @@ void VerticalKalman::hear(double height) {
   if (believe()) f.state.barometer = BarometerUse::used;
 }
 
-/// Whether a stretch of heights that were left out is believed: then the filter goes on from it.
+/// Returns whether a stretch of ignored heights is accepted; the filter then continues from it.
 bool VerticalKalman::believe() {
   Filter& f = now_;
   if (f.count < 8) return false;
   const double refused = f.refused_at > -1e8 ? f.time - f.refused_at : 1e9;
   const bool feels = f.state.accelerometer && !f.has_fallen;
-  // With an accelerometer what is refused may be a dip, of up to 5 s; without one, of up to 1 s.
+  // With an accelerometer, the refused heights may be a dip of up to 5 s; without one, of up to 1 s.
   const bool may_burn = f.has_seen_liftoff && f.time - f.flew_at < seconds_of(config_.burn);
   if (f.is_known && (refused < (feels ? 5.5 : 2) || (!feels && may_burn))) return false;
   const double sigma = std::max(config_.noise, f.noise);
@@ -457,7 +458,7 @@ bool VerticalKalman::believe() {
     f.is_known = true;
     return true;
   };
-  // What falls as fast as that has fallen for as long.
+  // An object that falls this fast must have fallen for the corresponding time.
   const double flown = f.has_seen_liftoff ? f.time - f.flew_at + 1 : 1e9;
   const auto is_possible = [&](double speed) { return speed > -(g * flown + 10) && speed < 1500; };
   if (feels) {
@@ -466,7 +467,7 @@ bool VerticalKalman::believe() {
       const Fit fit = fit_of(f, length, 1, true);
       if (fit.count == 0) break;
       const double speed = fit.slope + f.path_speed;
-      // Dips of 5 s are bent, by as much as they are steep.
+      // Dips of 5 s are curved, the more the steeper they are.
       const double most = 1.8 * sigma + 0.7 + 0.015 * std::abs(speed);
       const bool is_long = speed > -25 || length > 5 || (length > 2.9 && (speed < -10 - 5 * most || sigma < 1.4)) ||
                            (f.hangs_since > -1e8 && f.time - f.hangs_since > 1.5);
@@ -477,7 +478,7 @@ bool VerticalKalman::believe() {
       return true;
     }
   }
-  // By itself, against what the accelerometer shows: that is adrift, or stuck, when it takes long.
+  // The barometer alone, against the accelerometer: if this lasts long, the accelerometer has drifted or is stuck.
   if (feels && f.is_known && refused < 6) return false;
   const double by_itself = f.has_seen_liftoff ? 12 : 6;  // s, since the liftoff, or since it began in flight
   if (feels && !f.is_known && (f.time - f.flew_at < by_itself || f.time - f.path_from < by_itself - 5)) return false;
@@ -485,17 +486,17 @@ bool VerticalKalman::believe() {
   for (double length = feels ? stretch : 2; fit.count == 0; length = std::min(1.3 * length, longest)) {
     fit = fit_of(f, length, 2, false);
     if (fit.count == 0) return false;
-    const double most = std::abs(fit.slope) < 10 ? 1.2 : 2.5;  // m/s2, by which noise may bend it
+    const double most = std::abs(fit.slope) < 10 ? 1.2 : 2.5;  // m/s2, the curvature that noise may cause
     if (length < longest && sigma * std::sqrt(fit.curvature_variance) > most) fit = {};
   }
   if (fit.rest > 1.8 * sigma + 0.7) return false;
-  // Drag of that much is felt by what is fast.
+  // Drag this large means that the object is fast.
   const bool is_clipped = f.felt <= f.lower_end && std::abs(f.upper_end + f.lower_end) < 0.05 * f.upper_end;
   if (f.time - f.felt_at < 0.5 && (!f.is_stuck || is_clipped) && f.felt_mean < -0.7 && fit.slope < 0 &&
       f.time - f.flew_at < 15)
     return false;
   if (!is_possible(fit.slope) || std::abs(fit.curvature) > 60) return false;
-  // What still climbs is slowed by gravity and drag alone.
+  // An object that still climbs is slowed only by gravity and drag.
   if (!f.has_fallen && f.time - f.flew_at > 7 && fit.slope > -5 &&
       (fit.curvature > -5 || fit.curvature < -15 - 0.002 * square(fit.slope)))
     return false;
@@ -524,7 +525,7 @@ void VerticalKalman::lift_off(bool is_felt) {
   f.x[1] = 0;
 }
 
-/// Whether it stands or flies.
+/// Decides whether it stands or flies.
 void VerticalKalman::decide() {
   Filter& f = now_;
   const auto held = [&](double& since, bool is, double seconds) {
@@ -539,19 +540,19 @@ void VerticalKalman::decide() {
     const bool rests = feels && f.time - f.moved_at > 0.5;
     if (rests && f.stood_for >= 2) {
       measure(Measured::speed, 0, square(0.5));
-      measure(Measured::acceleration, 0, square(0.5));  // what is felt beside 1 g is bias
+      measure(Measured::acceleration, 0, square(0.5));  // the felt value minus 1 g is the bias
       f.p[3][3] = std::max(f.p[3][3], square(0.01 * g));
     }
     const double passed = f.stood_at > -1e8 ? std::min(f.time - f.stood_at, 0.5) : 0;
     f.stood_at = f.time;
     const bool is_new = f.stood_for < 2, is_young = f.stood_for < 30;
     const bool has_heard = f.has_height && f.time - f.heard_at < 0.5;
-    // Does the barometer move, or bend as in free fall?
+    // Does the height change, or is its curve that of free fall?
     bool moves = false, is_heard_still = false;
     if (has_heard) {
       const double sigma = std::max(config_.noise, f.noise);
       const Fit second = fit_of(f, 1, 1, false), longer = fit_of(f, 2.5, 1, false);
-      const auto is_fast = [&](const Fit& fit, double least) {  // from where it stood for long only up
+      const auto is_fast = [&](const Fit& fit, double least) {  // if it has stood for long, only upwards
         return fit.count > 0 &&
                (is_young ? std::abs(fit.slope) : fit.slope) > least + 4 * sigma * std::sqrt(fit.slope_variance);
       };
@@ -586,7 +587,7 @@ void VerticalKalman::decide() {
       f.p[1][1] = square(300);
     }
     const bool is_thrust = f.time - f.felt_at < 0.5 && f.felt > 1.8 && !f.is_stuck;
-    // One and the same value may be the end of its range, or a sensor that sticks: a barometer tells.
+    // A constant value may be the end of the range, or a stuck sensor: the barometer decides.
     const bool is_same = f.felt_times > 2 && has_heard && std::abs(f.felt_before - 1) < 0.5;
     const bool climbs = moves || f.middle - f.state.ground > 1 + 3 * std::max(config_.noise, f.noise);
     if (held(f.thrust_since, is_thrust && (!is_same || climbs),
@@ -611,14 +612,14 @@ void VerticalKalman::decide() {
     return;
   }
   if (f.x[1] + deviation < -3 && f.time - f.flew_at > 2 && !f.has_fallen) f.has_fallen = true, f.fell_at = f.time;
-  // Felt as on the ground, for seconds, while by what was felt it is slow: it hangs on a parachute.
+  // For seconds it feels as on the ground, and the felt speed is low: it hangs on a parachute.
   const double mean = f.felt_mean - f.x[3] / g;
   const bool hangs = feels && !f.has_fallen && f.time - f.flew_at > 3 && mean > 0.5 && mean < 1.6;
   if (held(f.hangs_since, hangs, 1.5)) {
     if (f.state.unchanged > 1 && f.gained < f.most / 3) f.x[1] = -15, f.p[1][1] = square(10);
     if (f.refused_at > -1e8) f.is_known = false;  // a stretch of the barometer is enough
   }
-  // It stands still: by seconds of the barometer, after it has fallen or where nothing was felt of a flight.
+  // It stands still: the barometer shows this for seconds, after a fall or if no flight was felt.
   f.highest_heard = std::max(f.highest_heard, f.height);
   if (std::abs(f.height - f.still_height) > 2.5) f.still_height = f.height, f.stays_since = f.time;
   const bool has_flown = !f.has_fallen && f.most > 12;
@@ -626,7 +627,7 @@ void VerticalKalman::decide() {
   const bool has_sunk = f.highest_heard - f.height > 15;
   const bool is_still = fit.count > 0 && std::abs(fit.slope) < 2 && f.state.unchanged < 1 &&
                         (has_sunk || !f.has_fallen);
-  // A coarse one, or one that is stuck, where it has come down to the ground.
+  // For a coarse or stuck barometer: it has come down to the ground.
   const double above = f.height - f.state.ground;
   const bool is_low = f.has_fallen && has_sunk && f.changed_at > f.fell_at &&
                       (above < 30 || (above < 100 && f.x[0] < f.state.ground));

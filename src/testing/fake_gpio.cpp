@@ -96,7 +96,7 @@ FakeGpio::~FakeGpio() = default;
 
 FakeGpio::Chip& FakeGpio::chip(const std::string& name) const {
   const auto found = std::find_if(chips_.begin(), chips_.end(), [&](const auto& one) { return one->name == name; });
-  if (found == chips_.end()) throw SetupError({Errc::not_found, "there is no such fake chip", name, "", ""});
+  if (found == chips_.end()) throw SetupError({Errc::not_found, "there is no fake chip with this name", name, "", ""});
   return **found;
 }
 

@@ -630,7 +630,7 @@ TEST_SUITE("app") {
     CHECK(find(found, "output fan")->severity == Severity::fault);
     CHECK(find(found, "output fan")->what == "there is no PWM chip /sys/class/pwm/pwmchip0");
     REQUIRE(find(found, "output heater") != nullptr);
-    CHECK(find(found, "output heater")->what == "/sys/class/pwm/pwmchip2 has 2 channels, from 0 on");
+    CHECK(find(found, "output heater")->what == "/sys/class/pwm/pwmchip2 has 2 channels, counted from 0");
     REQUIRE((find(found, "output lamp") != nullptr) == has_gpio);
     if (has_gpio) CHECK(find(found, "output lamp")->what == "this machine has no GPIO chip");
     const std::vector<Finding> timing = examine_timing(board.files(), &plan);

@@ -975,7 +975,7 @@ TEST_SUITE("app") {
       "rate": "10 Hz"}], "sinks": [{"type": "console"}]})");
     Process run(folder, shipped, {"run", "host.json", "--for", "50ms"});
     run.end();
-    CHECK(has(run.err, "`rtdata types host` lists what there is"));
+    CHECK(has(run.err, "`rtdata types host` lists the devices"));
   }
 
   TEST_CASE("NFR-5 types NAME says all of a driver: wiring and limits, parameters, fields with units") {

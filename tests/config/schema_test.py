@@ -27,23 +27,23 @@ except ImportError:
 BEYOND_A_SCHEMA = [
     "already, at", "writes .* already", "this is the configuration", "would write one file",  # between two items
     "carries .* of sensor", "differs in case only", "cannot record", "there is no tier",
-    "each value would send", "could not tell them apart",  # texts of outputs
+    "every value would", "could not distinguish them",  # texts of outputs
     "is out of range",  # of durations and rates, which are texts
     "is finer than a nanosecond", "longer than 292 years", "18 digits", "rate of zero", "period of zero", "faster than 1 GHz",
     "more digits than the type", "for a duration", "3.4e38",
     "there is no folder", "is a folder", "is not a regular file", "cannot be written", "names no file",  # of the file system
     "no variable", "cannot read the secret", "is empty",
     "a name has 1 to 200", "is not a topic name", "topics that begin with",  # lengths, and names that stand for topics
-    "it does not say which device", "has no width", "no field has a name", "among the fields", "is there twice",
+    "`device` is missing", "has the width 0", "no field has a name", "among the fields", "is there twice", "is listed twice", "exists twice",
     "every event has a", "SQLite has that name", "only a float or double", "a field of JSON has no name", "need more than 4 KiB",
     "or 0 for no limit",  # a least value, or none
     "there is no format", "`keep` needs `rotate`", "needs a `priority`", "have a priority", "give `cpu` or `cpus`",
     "already at",  # a key that is there twice
     "`password` needs a `user`", "it has no effect without", "begins with -----BEGIN", "there is no sslmode", "there is no port",
-    "in the manual of libpq", "a text of MQTT has at most",  # of other libraries and protocols
+    "in the manual of libpq", "a text in MQTT has at most",  # of other libraries and protocols
     "another SQLite database", "its content is not a valid", "by zero",  # what is in a file, or in an expression
     "shares the topic", "sets the output", "of settings; the guard",
-    "topic: there is no topic", "host: there is no host", "a URL has no blanks", "it has no scheme",  # what a text holds
+    "topic: there is no topic", "host: there is no host", "a URL contains only ASCII letters", "it has no scheme",  # what a text holds
     "give the bus a longer `timeout`", "it has both `file` and `device`",  # between two values
     r"at character \d+: ",  # in a regular expression
     "there is no bus", "there is no sink", "cannot go through another", "is not among those of the recording", "this needs sqlite", r"\.(address|identity|line): ",  # names of other parts; numbers that may be texts

@@ -52,7 +52,7 @@ TEST_SUITE("data") {
     const auto loaded = library.load();
     REQUIRE_FALSE(loaded);
     CHECK(loaded.error().text() ==
-          "type cosine: libm is older than what this was built with: it has no function rtdata_none: apt install "
-          "libc6");
+          "type cosine: libm is older than the version that this program was built with: it has no function "
+          "rtdata_none: apt install libc6");
   }
 }

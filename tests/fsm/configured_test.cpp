@@ -105,29 +105,28 @@ TEST_SUITE("fsm") {
     says(machine(a_and_b + R"(, {"name": "x", "final": true})", go), "machines[0].states[2].name",
          "nothing leads from the start to state `x`");
     says(machine(R"({"name": "a"}, {"name": "b"})", go), "machines[0].states[1].name",
-         "nothing leads out of state `b`; if that is meant, say that it is final");
-    says(machine(a_and_b, go + "," + go), "machines[0].transitions[1]",
-         "the transition from `a` to `b` is there twice");
+         "nothing leads out of state `b`; if this is intended, declare it as final");
+    says(machine(a_and_b, go + "," + go), "machines[0].transitions[1]", "the transition from `a` to `b` exists twice");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "after": "5 s"}, {"from": "a", "to": "b", "after": "2 s"})"),
          "machines[0].transitions[0]", "the transition from `a` to `b` is never taken");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "runing > 3"})"), "machines[0].transitions[0].when",
-         "there is no name `runing` (column 1 of it)");
+         "there is no name `runing` (column 1 of the expression)");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running >"})"), "machines[0].transitions[0].when",
-         "the expression ends where a value is missing");
+         "the expression ends, but a value is missing");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running"})"), "machines[0].transitions[0].when",
-         "it is a number, no condition; compare it with something");
+         "it is a number, not a condition: compare it with something");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "false"})"), "machines[0].transitions[0].when",
          "this condition is never true");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "when": "running + 1"})"), "machines[0].transitions[0].when",
-         "it is a number, no condition; compare it with something");
+         "it is a number, not a condition: compare it with something");
     says(machine(a_and_b, R"({"from": "a", "to": "b", "for": "1 s"})"), "machines[0].transitions[0].for",
-         "`for` is how long `when` is true");
-    says(machine(a_and_b + R"(, {"name": "a"})", go), "machines[0].states[2].name", "there is a state \"a\" already");
+         "`for` needs a `when`");
+    says(machine(a_and_b + R"(, {"name": "a"})", go), "machines[0].states[2].name", "there is already a state \"a\"");
     const auto says_of_state = [&](const std::string& state, const std::string& why) {
       says(R"({"name": "m", "start": ")" + state + R"(", "states": [{"name": ")" + state + R"(", "final": true}]})",
            "machines[0].states[0].name", why);
     };
-    says_of_state("a/b", "the name of a state has no `/`, which is a `.` in expressions");
+    says_of_state("a/b", "the name of a state cannot contain `/`: expressions read it as `.`");
     says_of_state("lasted", "`lasted` is a field of the machine's changes");
     says_of_state("m", "`m` is the machine's topic");
     CHECK(said_of(R"({"name": "m", "start": "to", "states": [{"name": "to", "final": true}]})").empty());
@@ -152,16 +151,17 @@ TEST_SUITE("fsm") {
     Lines lines;
     for (const Problem& problem : plan_system(standard_registry(), parse_config(text, "f.json")).problems)
       lines.push_back(problem.text());
-    CHECK(lines ==
-          Lines{R"(f.json:3:46: machines[0].start: there is no state "aa" in `states`)",
-                R"(f.json:3:102: machines[0].states[2].name: there is a state "a" already)",
-                R"(f.json:5:40: machines[0].transitions[1].to: there is no state "d" in `states`)",
-                "f.json:6:53: machines[0].transitions[2].when: it is a number, no condition; compare it with "
-                "something",
-                "f.json:7:52: machines[0].transitions[3].for: `for` is how long `when` is true: give `when`, "
-                "or use `after`",
-                "f.json:8:65: machines[0].transitions[4].when: the expression ends where a value is missing (column 12 "
-                "of it)"});
+    CHECK(
+        lines ==
+        Lines{
+            R"(f.json:3:46: machines[0].start: there is no state "aa" in `states`)",
+            R"(f.json:3:102: machines[0].states[2].name: there is a state "a" already)",
+            R"(f.json:5:40: machines[0].transitions[1].to: there is no state "d" in `states`)",
+            "f.json:6:53: machines[0].transitions[2].when: it is a number, not a condition: compare it with something",
+            "f.json:7:52: machines[0].transitions[3].for: `for` needs a `when`, which must be true for this long: add "
+            "`when`, or use `after`",
+            "f.json:8:65: machines[0].transitions[4].when: the expression ends, but a value is missing (column 12 of "
+            "the expression)"});
   }
 
   TEST_CASE("US-41 a machine of settings: conditions that hold for a time, memories that begin in a state, times") {

@@ -438,7 +438,7 @@ TEST_SUITE("fsm") {
       return "taken";
     };
     auto& m = b.machine;
-    CHECK(refusal([&] { m.add_state("a"); }).find("there is one of that name") != std::string::npos);
+    CHECK(refusal([&] { m.add_state("a"); }).find("a state with this name already exists") != std::string::npos);
     CHECK(refusal([&] { m.add_state(""); }).find("empty") != std::string::npos);
     CHECK(refusal([&] { m.add_state(std::string(49, 'x')); }).find("longer than 48") != std::string::npos);
     CHECK(refusal([&] { m.add_state("n", nullptr); }).find("there is no state") != std::string::npos);
@@ -449,9 +449,9 @@ TEST_SUITE("fsm") {
           std::string::npos);
     CHECK(refusal([&] { m.add_transition({.from = "a", .to = "b", .after = -1s}); }).find("negative") !=
           std::string::npos);
-    CHECK(refusal([&] { m.start_in("d"); }).find("no state of that name") != std::string::npos);
+    CHECK(refusal([&] { m.start_in("d"); }).find("no state with this name") != std::string::npos);
     fsm::Machine other(b.loop, {.name = "other", .start = "on"});
-    CHECK(refusal([&] { other.start(); }).find("no state of that name") != std::string::npos);
+    CHECK(refusal([&] { other.start(); }).find("no state with this name") != std::string::npos);
     CHECK(refusal([&] { fsm::Machine(b.loop, {.name = "m", .start = "a"}); }).find("m") != std::string::npos);
     m.add_transition({.from = "a", .to = "b", .on = "touchdown"});
     m.start();

@@ -222,10 +222,10 @@ TEST_CASE(
   const std::string without = refusal({.device = device("IIO"), .channels = {"accel_x"}});
   CHECK_MESSAGE(without.find("it has no trigger") != std::string::npos, without);
   const std::string rate = refusal({.device = "mpu6050", .channels = {"accel_x"}, .rate = Rate::hertz(3)});
-  CHECK_MESSAGE(rate.find("3 Hz is refused") != std::string::npos, rate);
-  CHECK_MESSAGE(rate.find("it can do 10 20 50") != std::string::npos, rate);
+  CHECK_MESSAGE(rate.find("3 Hz was refused") != std::string::npos, rate);
+  CHECK_MESSAGE(rate.find("choose one of its rates: 10 20 50") != std::string::npos, rate);
   CHECK(refusal({.device = "mpu6050", .channels = {"accel_w"}}).find("no channel accel_w") != std::string::npos);
-  CHECK(refusal({.device = "mcp3208", .channels = {"voltage0"}}).find("its driver has none") != std::string::npos);
+  CHECK(refusal({.device = "mcp3208", .channels = {"voltage0"}}).find("its driver has no buffer") != std::string::npos);
   CHECK(refusal({.device = "mpu6050", .channels = {"accel_x"}, .trigger = "nobody"}).find("no trigger nobody") !=
         std::string::npos);
 }

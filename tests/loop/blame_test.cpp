@@ -135,12 +135,12 @@ TEST_CASE("US-5 on_overrun slow down: each overrun halves the sensor's rate, to 
   loop.advance(1s);
   CHECK(sensor.counts().scheduled - before == 5);  // no tick was taken twice, none left out
   REQUIRE(slowed.size() == 1);                     // within a second of what is told first: who held the loop
-  CHECK(slowed[0].starts_with("slowed down to one in 200 ms: sensor s: a read held the loop for 15 ms: "));
-  CHECK(slowed[0].ends_with("; wanted is one in 100 ms"));
+  CHECK(slowed[0].starts_with("slowed down to one read every 200 ms: sensor s: a read held the loop for 15 ms: "));
+  CHECK(slowed[0].ends_with("; the configured period is 100 ms"));
   takes = 15ms;
   loop.advance(20s);
   CHECK(period_of(sensor) == 1600ms);
-  CHECK(slowed.back().starts_with("slowed down to one in 1.6 s: "));
+  CHECK(slowed.back().starts_with("slowed down to one read every 1.6 s: "));
   CHECK(sensor.health() == Health::ok);
   CHECK(period_of(other) == 100ms);
   CHECK(other.counts().missed == 0);

@@ -165,7 +165,7 @@ TEST_SUITE("outputs") {
     CHECK(valve.check().has_value());
     device.hang_up();
     for (int i = 0; i < 2000 && valve.check().has_value(); ++i) std::this_thread::sleep_for(1ms);
-    CHECK(valve.check().error().why == "the device has ended the connection");
+    CHECK(valve.check().error().why == "the device has closed the connection");
     CHECK(valve.set(1).error().code == Errc::disconnected);
   }
 

@@ -81,7 +81,7 @@ TEST_SUITE("outputs") {
     CHECK(is_refused(pwm + R"("on": "lod", "expression": "1"})", "lod"));
     CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1 >"})", "f.json:2"));
     CHECK(is_refused(pwm + R"("on": "load", "expression": "minute_1 > 2"})", "minute_1"));
-    CHECK(is_refused(pwm + R"("expression": "minutes_1 > 2"})", "need the topic `on`"));
+    CHECK(is_refused(pwm + R"("expression": "minutes_1 > 2"})", "need `on`, the topic"));
     CHECK(is_refused(pwm + R"("on": "load", "expression": "minutes_1", "lease": "1 s"})", "max_age"));
     CHECK(
         is_refused(pwm + R"("on": "load", "expression": "minutes_1", "hysteresis": {"on": 1, "off": 1}})", "the same"));
@@ -124,15 +124,15 @@ TEST_SUITE("outputs") {
   TEST_CASE("US-35 check refuses a text that is the same for each value, and two values with one word") {
     const std::string serial = R"({"name": "s", "type": "serial", "device": "/dev/ttyX", )";
     for (const char* text : {"on\\n", "{Value}\\n", ""})
-      CHECK(is_refused(serial + R"("text": ")" + text + "\"}", "each value would send the same text"));
+      CHECK(is_refused(serial + R"("text": ")" + text + "\"}", "every value would send the same text"));
     CHECK(is_refused(serial + R"("words": {"0": "a", "0.5": "b", "1": "a"}})",
-                     "0 and 1 are both written \"a\": the device could not tell them apart"));
+                     "0 and 1 are both written \"a\": the device could not distinguish them"));
     CHECK(problems_of(serial + R"("words": {"0": "a", "1": "b"}})").empty());
     CHECK(problems_of(serial + R"("words_hex": {"0": "a0 01", "1": "A002"}, "answer_hex": "06"})").empty());
     CHECK(is_refused(serial + R"("words_hex": {"0": "a0", "1": "xy"}})", "\"xy\": these are not bytes"));
-    CHECK(is_refused(serial + R"("words_hex": {"0": "a0", "1": "a0"}})", "the device could not tell them apart"));
-    CHECK(is_refused(serial + R"("words_hex": {"0": "a0"}, "text": "{value}"})", "there are `text` or `words` too"));
-    CHECK(is_refused(serial + R"("answer": "OK", "answer_hex": "06"})", "there is an `answer` too"));
+    CHECK(is_refused(serial + R"("words_hex": {"0": "a0", "1": "a0"}})", "the device could not distinguish them"));
+    CHECK(is_refused(serial + R"("words_hex": {"0": "a0"}, "text": "{value}"})", "there is also a `text` or `words`"));
+    CHECK(is_refused(serial + R"("answer": "OK", "answer_hex": "06"})", "there is also an `answer`"));
   }
 
   TEST_CASE("US-35 US-41 check finds the mistakes of machines that set outputs") {

@@ -294,7 +294,7 @@ TEST_SUITE("outputs") {
     CHECK_FALSE(b.output.is_armed());
     CHECK_FALSE(b.output.value().has_value());
     CHECK(b.output.health() == Health::faulted);
-    CHECK(b.errors == Lines{"the loop did not turn for 500 ms, and the device did not take the value: it is mute"});
+    CHECK(b.errors == Lines{"the loop did not turn for 500 ms, and the device did not accept the value: it is mute"});
     b.output.arm("me").or_throw();
     CHECK(b.output.set(0).error().code == Errc::io_failed);
     // The guard goes on to try, more often than the program asks.
@@ -345,7 +345,7 @@ TEST_SUITE("outputs") {
       const std::string not_done = is_mute ? " not done" : "";
       CHECK(b.causes == Lines{"start", "set", "watchdog" + not_done, "stop" + not_done});
       CHECK(b.errors ==
-            (is_mute ? Lines{"the loop did not turn for 100 ms, and the device did not take the value: it is mute",
+            (is_mute ? Lines{"the loop did not turn for 100 ms, and the device did not accept the value: it is mute",
                              "it is mute"}
                      : Lines{"the loop did not turn for 100 ms"}));
     }
@@ -464,7 +464,7 @@ TEST_SUITE("outputs") {
     b.output.close();
     CHECK(b.turn_until([&] { return !log.empty(); }));
     const std::string
-        text = "its device has not taken the safe value for 10 s, and the guard no longer tries: it is mute";
+        text = "its device has not accepted the safe value for 10 s, and the guard no longer tries: it is mute";
     REQUIRE(log.size() == 1);
     CHECK(log[0] == text);
     CHECK(b.guard.ended_unsafe() == Lines{"output o"});
@@ -514,7 +514,7 @@ TEST_SUITE("outputs") {
     std::filesystem::remove(line);
     device.reset();  // unplugged
     CHECK(turn_until([&] { return log.lines.size() >= 4; }));
-    CHECK(log.lines[2] == "failure 0 failed: the device has gone");
+    CHECK(log.lines[2] == "failure 0 failed: the device is gone");
     CHECK(output.health() == Health::faulted);
     CHECK_FALSE(output.value().has_value());
     CHECK(output.set(1).error().code == Errc::io_failed);
@@ -575,7 +575,7 @@ TEST_SUITE("outputs") {
     std::ofstream(gone).flush();
     CHECK(turn_until([&] { return output.health() == Health::faulted; }));
     CHECK(turn_until([&] { return log.lines.size() >= 3; }));
-    CHECK(log.lines[2] == "failure 0 failed: the chip has gone");
+    CHECK(log.lines[2] == "failure 0 failed: the chip is gone");
     CHECK_FALSE(output.value().has_value());
     std::filesystem::remove(gone);
     CHECK(turn_until([&] { return output.value() == 0; }));

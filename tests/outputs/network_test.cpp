@@ -169,11 +169,12 @@ TEST_SUITE("outputs") {
     const std::string http = R"({"name": "r", "type": "http", )";
     CHECK(problems_of(http + R"("url": "http://x/{value}", "method": "get"})").empty());
     CHECK(is_refused(http + R"("url": "ftp://x/{value}", "method": "get"})", "the scheme is ftp"));
-    CHECK(is_refused(http + R"("url": "http://x/", "method": "get"})", "each value would send the same request"));
-    CHECK(is_refused(http + R"("url": "http://x/", "text": "on"})", "each value would send the same request"));
+    CHECK(is_refused(http + R"("url": "http://x/", "method": "get"})", "every value would send the same request"));
+    CHECK(is_refused(http + R"("url": "http://x/", "text": "on"})", "every value would send the same request"));
     CHECK(is_refused(http + R"("url": "http://x/", "words": {"1.0": "on"}})", "it is written 1"));
-    CHECK(is_refused(http + R"("url": "http://x/", "words": {"one": "on"}})", "\"one\" is no value"));
-    CHECK(is_refused(http + R"("url": "http://x/{value}", "words": {"1": "turn on"}})", "a URL has no blanks"));
+    CHECK(is_refused(http + R"("url": "http://x/", "words": {"one": "on"}})", "\"one\" is not a value"));
+    CHECK(is_refused(http + R"("url": "http://x/{value}", "words": {"1": "turn on"}})",
+                     "a URL contains only ASCII letters"));
     CHECK(is_refused(http + R"("url": "http://x/", "timeout": "2 s"})", "timeout"));
     CHECK(is_refused(R"({"name": "r", "type": "http"})", "url"));
 
@@ -396,8 +397,8 @@ TEST_SUITE("outputs") {
     const std::string mqtt = R"({"name": "p", "type": "mqtt", )";
     CHECK(problems_of(mqtt + R"("to": "pump/set"})").empty());
     CHECK(is_refused(mqtt + R"("qos": 1})", "to"));
-    CHECK(is_refused(mqtt + R"("to": "pump/#"})", "has no + and no #"));
-    CHECK(is_refused(mqtt + R"("to": "pump", "text": "ON"})", "each value would send the same message"));
+    CHECK(is_refused(mqtt + R"("to": "pump/#"})", "cannot contain + or #"));
+    CHECK(is_refused(mqtt + R"("to": "pump", "text": "ON"})", "every value would send the same message"));
     CHECK(is_refused(mqtt + R"("to": "pump", "qos": 3})", "qos"));
     CHECK(is_refused(mqtt + R"("to": "pump", "words": {"01": "ON"}})", "it is written 1"));
     const Lines keyless = problems_of(mqtt + R"("to": "pump", "tls": {"key": "/no/such/key"}})");

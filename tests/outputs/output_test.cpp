@@ -232,8 +232,9 @@ TEST_SUITE("outputs") {
     b.loop.advance(59ms);
     CHECK(ticks == 60);
     CHECK(ticker.missed() == 0);
-    CHECK(b.told() == Lines{"set 2 > - by program: superseded before the device was ready",
-                            "set 3 > - by program: superseded before the device was ready", "set 1 > 1 by program"});
+    CHECK(b.told() == Lines{"set 2 > - by program: replaced by a newer value before the device was ready",
+                            "set 3 > - by program: replaced by a newer value before the device was ready",
+                            "set 1 > 1 by program"});
     b.loop.advance(1ms);
     CHECK(b.told() == Lines{"set 4 > 4 by program"});
     CHECK(b.took == std::vector<double>{0, 0, 0.03, 0.06});
@@ -343,7 +344,7 @@ TEST_SUITE("outputs") {
     feed(20);
     CHECK(b.told() == Lines{"input 1 > 1 by air"});
     CHECK(b.errors.size() == 2);
-    CHECK(b.output.set(1).error().why == "it follows the topic \"air\"");
+    CHECK(b.output.set(1).error().why == "the output follows the topic \"air\"");
     CHECK(b.output.counts().repeated == 2);  // the first, which was off, and the third
   }
 
@@ -654,7 +655,7 @@ TEST_SUITE("outputs") {
     b.loop.advance(1s);
     CHECK(b.output.value() == 0);
     REQUIRE(b.errors.size() == 1);
-    CHECK(b.errors[0] == "loop fast, which would tell of changes, has not turned for 1 s");
+    CHECK(b.errors[0] == "loop fast has not turned for 1 s, so changes of the topic are unknown");
     air.publish({40});  // which the tier does not see yet
     b.loop.advance(1s);
     air.publish({20});

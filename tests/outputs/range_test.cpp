@@ -115,7 +115,7 @@ TEST_SUITE("outputs") {
     CHECK(count_of(problems_of(pwm + R"("safe": 1e999}])")) == 1);
     const std::string steps = R"("outputs": [{"name": "fan", "type": "steps")";
     CHECK(problems_of(steps + "}]") ==
-          "2:13 `safe` is 0 unless given: 0 is not a value for the device: whole numbers from 2 to 8");
+          "2:13 `safe` is 0 by default: 0 is not a value for the device: whole numbers from 2 to 8");
     CHECK(problems_of(steps + R"(, "safe": 8}])").empty());
     CHECK(count_of(problems_of(steps + R"(, "safe": 8, "steps": 7}])")) == 1);
     if (standard_registry().outputs().find("gpio"))
@@ -125,8 +125,8 @@ TEST_SUITE("outputs") {
     CHECK(problems_of(rule + R"("expression": "minutes_1"}])").empty());
     CHECK(problems_of(rule + R"("expression": "minutes_1 > 2 ? 1 : 0.5"}])").empty());
     CHECK(problems_of(rule + R"("expression": "minutes_1 > 2 ? 5 : minutes_1 > 1 ? -3 : 0"}])") ==
-          "2:89 5 is not a value for the device: from 0 to 1 (column 17 of it)\n"
-          "2:109 -3 is not a value for the device: from 0 to 1 (column 37 of it)");
+          "2:89 5 is not a value for the device: from 0 to 1 (column 17 of the expression)\n2:109 -3 is not a value "
+          "for the device: from 0 to 1 (column 37 of the expression)");
     CHECK(problems_of(rule + R"("expression": "minutes_1", "pid": {"setpoint": 1, "kp": 1, "most": 100}}])") ==
           "2:125 100 is not a value for the device: from 0 to 1");
     CHECK(problems_of(rule + R"("expression": "1000 * minutes_1", "hysteresis": {"on": 1000, "off": 900}}])").empty());
@@ -136,7 +136,7 @@ TEST_SUITE("outputs") {
     // `most` is 1.
     CHECK(count_of(problems_of(own + R"(", "whole": false, "pid": {"setpoint": 1, "kp": 1, "least": 0.5}}])")) == 2);
     const std::string
-        fractions = " a `pid` gives fractions, and the device takes whole numbers alone: use `hysteresis`";
+        fractions = " a `pid` gives fractions, but the device accepts only whole numbers: use `hysteresis`";
     CHECK(problems_of(own + R"(", "pid": {"setpoint": 1, "kp": 1, "least": 2, "most": 8}}])") == "2:105" + fractions);
     CHECK(problems_of(own + R"(", "pid": {"setpoint": 1, "kp": 1, "least": 0.5}}])") == "2:105" + fractions);
     if (standard_registry().outputs().find("gpio")) {

@@ -129,7 +129,7 @@ TEST_SUITE("outputs") {
     REQUIRE(refused);
     CHECK(refused->error().code == Errc::busy);
     CHECK(bench.log.lines ==
-          Lines{"start 0 done", "set 1 done", "set 2 failed: its device is being given back", "stop 0 done"});
+          Lines{"start 0 done", "set 1 done", "set 2 failed: its device is being released", "stop 0 done"});
     CHECK(bench.has_all_ticks());
     CHECK(bench.loop.runtime().balances());
   }
@@ -260,7 +260,7 @@ TEST_SUITE("outputs") {
       CHECK(bench.output("b").value() == 2);
       CHECK(bench.output("b").health() == Health::ok);
       CHECK(bench.log.lines ==
-            Lines{"set 1 failed: superseded before the device was ready", "start 0 done", "set 2 done"});
+            Lines{"set 1 failed: replaced by a newer value before the device was ready", "start 0 done", "set 2 done"});
       CHECK(bench.did("A") == Lines{"open 0"});
       CHECK(bench.has_all_ticks());
       CHECK(bench.loop.runtime().balances());

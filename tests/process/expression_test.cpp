@@ -108,9 +108,9 @@ TEST_CASE("names are those of topics and fields") {
   Expression hidden("e + pi", {"e"});
   hidden.set(0, 1);
   CHECK(hidden.evaluate(start).value == doctest::Approx(1 + 3.14159265358979));
-  CHECK_THROWS_WITH_AS(
-      Expression("1", {"a/b", "a.b"}),
-      "cannot make an expression: \"1\": two of its names are the same: a/b and a.b: give each name once", SetupError);
+  CHECK_THROWS_WITH_AS(Expression("1", {"a/b", "a.b"}),
+                       "cannot make an expression: \"1\": two names are the same: a/b and a.b: give each name once",
+                       SetupError);
   Expression functions_too("rate + rate(rate)", {"rate"});
   functions_too.set(0, 1);
   CHECK(functions_too.evaluate(start).state == State::waiting);
@@ -125,20 +125,20 @@ TEST_CASE("each mistake has its column, a reason and what was meant") {
     CHECK(mistake.suggestion == meant);
   };
   shows("altitud > 5", 1, "there is no name `altitud`", "altitude");
-  shows("5 < zzz", 5, "there is no name `zzz`; there are x imu.x altitude");
+  shows("5 < zzz", 5, "there is no name `zzz`; available: x imu.x altitude");
   shows("x = 5", 3, "write `==`");
   shows("x == 5 = 3", 8, "write `==`");
   shows("1 < x < 5", 7, "a second comparison");
   shows("hihgest(x)", 1, "there is no function `hihgest`", "highest");
   shows("2 * highest(x, 2)", 5, "`highest` takes 1 argument, not 2");
   shows("mean(x)", 1, "`mean` takes 2 arguments: a value and seconds, not 1");
-  shows("mean(x, x)", 9, "the seconds of `mean` are a constant");
+  shows("mean(x, x)", 9, "the seconds of `mean` must be a constant");
   shows("rate()", 1, "`rate` takes 1 argument, or 2: a value and seconds, not 0");
   shows("sin(x, 2)", 1, "`sin` takes 1 argument, not 2");
   shows("atan2(x)", 1, "`atan2` takes 2 arguments, not 1");
   shows("max()", 1, "`max` takes 2 arguments or more");
   shows("2 + max(x)", 5, "for one value over time use `highest`");
-  shows("highest(3)", 9, "has no name in it");
+  shows("highest(3)", 9, "has no field in it");
   shows("log(x)", 1, "write `ln` or `log10`");
   shows("if(x > 3, 1, 2)", 1, "there is no `if`");
   shows("pow(x, 2)", 1, "a power is `^`");
@@ -146,7 +146,7 @@ TEST_CASE("each mistake has its column, a reason and what was meant") {
   shows("x % 2", 3, "there is no `%`");
   shows("x <> 2", 3, "write `!=`");
   shows("x & 2", 3, "write `and`");
-  shows("x + ", 5, "the expression ends where a value is missing");
+  shows("x + ", 5, "the expression ends, but a value is missing");
   shows("", 1, "it is empty");
   shows("  ", 3, "it is empty");
   shows("(x + 1", 1, "the `(` is not closed");

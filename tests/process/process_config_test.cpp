@@ -98,10 +98,10 @@ TEST_SUITE("process") {
     CHECK(has(problem(R"("number": {"calibration": {"scael": 2}})"), "(did you mean \"scale\"?)"));
     CHECK(has(problem(R"("number": {"calibration": {"scale": 0}})"), "process.number.calibration.scale: "));
     CHECK(has(problem(R"("number": {"calibration": {"table": [[0, 0], [1, 5], [1, 6]]}})"),
-              "f.json:2:68: sensors[0].process.number.calibration.table[2]: the table does not ascend here"));
+              "f.json:2:68: sensors[0].process.number.calibration.table[2]: the table is not in ascending order here"));
     CHECK(has(problem(R"("number": {"calibration": {"table": [[0, 0], [1]]}})"), "calibration.table[1]"));
     CHECK(has(problem(R"("number": {"calibration": {"polynomial": [1,2,3,4,5,6,7,8,9,10,11]}})"),
-              "calibration.polynomial: it has 11 coefficients; give it 2 to 10"));
+              "calibration.polynomial: it has 11 coefficients; use 2 to 10"));
     CHECK(has(problem(R"("number": {"filters": [{"type": "delta", "by": 1}, {"type": "median", "of": 6}]})"),
               "process.number.filters[1].of: 6 samples are not possible, for a median; give it an odd number from 3"));
     CHECK(has(problem(R"("number": {"filters": [{"type": "median", "of": 1001}]})"), "1001 samples are not possible"));
@@ -110,24 +110,24 @@ TEST_SUITE("process") {
     CHECK(has(problem(R"("number": {"filters": [{"type": "throttle", "time": "0 s"}]})"), "filters[0].time"));
     CHECK(has(problem(R"("number": {"filters": [{"type": "delta", "by": -1}]})"), "filters[0].by"));
     CHECK(has(problem(R"("number": {"filters": [{"type": "median", "of": 3}], "unit": "V"})"),
-              "process.number.unit: without a calibration the value keeps its unit"));
+              "process.number.unit: a value without a calibration keeps its unit"));
     // Points.
     const auto points = [](const std::string& text) {
       return problem(R"("number": {"calibration": {"points": )" + text + "}}");
     };
     CHECK(planned(R"("number": {"calibration": {"points": [[623.4, 98.1], [123.4, 0]]}})").good());
-    CHECK(has(points("[]"), "calibration.points: it has 0 points; give it 2 to 1000"));
-    CHECK(has(points("[[1, 2]]"), "calibration.points: it has 1 point; give it 2 to 1000"));
+    CHECK(has(points("[]"), "calibration.points: it has 0 points; use 2 to 1000"));
+    CHECK(has(points("[[1, 2]]"), "calibration.points: it has 1 point; use 2 to 1000"));
     CHECK(has(points("[[1, 2], [3, 4], [1, 2.5]]"),
-              "f.json:2:69: sensors[0].process.number.calibration.points[2]: it has the raw value of points[0]; give "
+              "f.json:2:69: sensors[0].process.number.calibration.points[2]: it has the raw value of points[0]; use "
               "each raw value once"));
-    CHECK(has(points("[[1, 2], [3, 2]]"), "calibration.points: their line gives the same value for every raw one"));
-    CHECK(has(points("[[0, 0], [1e-308, 1e308]]"), "calibration.points: their line is not one of finite numbers"));
+    CHECK(has(points("[[1, 2], [3, 2]]"), "calibration.points: their line gives the same value for every raw value"));
+    CHECK(has(points("[[0, 0], [1e-308, 1e308]]"), "calibration.points: the numbers of their line are not finite"));
     CHECK(has(points("[[1, 2], [3]]"), "calibration.points[1]"));
     for (const char* other :
          {R"("scale": 2)", R"("offset": 1)", R"("table": [[0, 0], [1, 1]])", R"("polynomial": [0, 2])"})
       CHECK(has(points("[[1, 2], [3, 4]], " + std::string(other)),
-                "calibration.points: beside points there is neither scale, offset, polynomial nor table"));
+                "calibration.points: with `points`, there can be no `scale`, `offset`, `polynomial` or `table`"));
     std::string many = "[[0, 0]";
     for (int i = 1; i <= 1000; ++i) many += ", [" + std::to_string(i) + ", " + std::to_string(i) + "]";
     CHECK(has(points(many + "]"), "calibration.points: it has 1001 points"));

@@ -416,7 +416,8 @@ TEST_SUITE("process") {
     CHECK(sensor.counts().filtered == 60);
     CHECK(sensor.counts().published == published);
     CHECK(sensor.counts().balances());
-    CHECK(std::count(log.begin(), log.end(), "sensor gas: warms up for 2 s: its samples are filtered until then") == 3);
+    CHECK(std::count(log.begin(), log.end(),
+                     "sensor gas: warms up for 2 s: its samples are discarded until then (counted as filtered)") == 3);
   }
 
   TEST_CASE("US-27 what a device took while it warmed up is filtered when it comes later; its clock may be wrong") {
@@ -638,20 +639,21 @@ TEST_SUITE("process") {
     CHECK(has(mistake({{"name", calibrated({})}}), "it is of type text"));
     CHECK(has(mistake({{"flag", filtered({Filter::delta(1)})}}), "it is of type bool"));
     CHECK(has(mistake({{"state", filtered({Filter::delta(1)})}}), "it is of type enum"));
-    CHECK(has(mistake({{"points[0].label", calibrated({})}}), "this one would become a double"));
+    CHECK(has(mistake({{"points[0].label", calibrated({})}}), "this element would become a double"));
     CHECK(mistake({{"points[0].label", filtered({Filter::delta(1), Filter::rate_of_change()})}}).empty());
     CHECK(has(mistake({{"numbers", calibrated({})}, {"numbers[1]", calibrated({})}}), "numbers[1] is named twice"));
     CHECK(has(mistake({{"numbers[1]", {.calibration = Calibration{}, .unit = "V"}}}), "elements of an array have one"));
     CHECK(has(mistake({{"f64", {}}}), "there is nothing to do"));
-    CHECK(has(mistake({{"f64", {.filters = {Filter::median(3)}, .unit = "V"}}}), "the value keeps its unit"));
+    CHECK(has(mistake({{"f64", {.filters = {Filter::median(3)}, .unit = "V"}}}),
+              "a value without a calibration keeps its unit"));
     CHECK(has(mistake({{"f64", calibrated({.scale = 0})}}), "calibration.scale"));
     CHECK(has(mistake({{"f64", calibrated({.offset = NAN})}}), "calibration.offset"));
     CHECK(has(mistake({{"f64", calibrated({.polynomial = {1}})}}), "it has 1 coefficients"));
-    CHECK(has(mistake({{"f64", calibrated({.polynomial = std::vector<double>(11, 1)})}}), "give it 2 to 10"));
+    CHECK(has(mistake({{"f64", calibrated({.polynomial = std::vector<double>(11, 1)})}}), "use 2 to 10"));
     CHECK(has(mistake({{"f64", calibrated({.polynomial = {1, 2}, .table = {{0, 0}, {1, 1}}})}}), "polynomial already"));
     CHECK(has(mistake({{"f64", calibrated({.table = {{0, 0}}})}}), "it has 1 points"));
     CHECK(has(mistake({{"f64", calibrated({.table = {{0, 0}, {2, 1}, {2, 3}}})}}),
-              "calibration.table[2]: the table does"));
+              "calibration.table[2]: the table is not in ascending order"));
     CHECK(has(mistake({{"f64", calibrated({.table = std::vector<std::array<double, 2>>(1001)})}}), "1001 points"));
     CHECK(has(mistake({{"f64", calibrated({.least = 2, .most = 1})}}), "calibration.least: it is above `most`"));
     CHECK(has(mistake({{"f64", filtered({Filter::median(4)})}}),
@@ -661,12 +663,12 @@ TEST_SUITE("process") {
     CHECK(has(mistake({{"f64", filtered({{.type = FilterType::mean}})}}), "the number of samples is missing"));
     CHECK(has(mistake({{"f64", filtered({Filter::exponential(0)})}}), "filters[0].weight"));
     CHECK(has(mistake({{"f64", filtered({Filter::exponential(1.5)})}}), "filters[0].weight"));
-    CHECK(has(mistake({{"f64", filtered({Filter::clamp({}, {})})}}), "it has no bound"));
+    CHECK(has(mistake({{"f64", filtered({Filter::clamp({}, {})})}}), "it has no limit"));
     CHECK(has(mistake({{"f64", filtered({Filter::clamp(2, 1)})}}), "above `most`"));
     CHECK(has(mistake({{"f64", filtered({Filter::throttle(0s)})}}), "the time is missing"));
     CHECK(has(mistake({{"f64", filtered({Filter::delta(-1)})}}), "the amount is missing"));
     CHECK(has(mistake({{"f64", filtered({Filter::rate_of_change(), Filter::rate_of_change()})}}),
-              "rate of change already"));
+              "there is already a rate of change"));
     CHECK(has(mistake({{"f64", filtered(std::vector<Filter>(9, Filter::median(3)))}}), "at most 8"));
     Loop loop(Loop::Manual{});
     struct Bare {

@@ -291,8 +291,8 @@ TEST_CASE("US-10 US-17 a converter is named by its file, or by its device and ch
   CHECK(mistakes(R"({"device": "mcp3208", "channel": "voltage0"})").empty());
   CHECK(mistakes(R"({})").find("neither `file` nor `device`") != std::string::npos);
   CHECK(mistakes(R"({"file": "adc0", "device": "mcp3208", "channel": "voltage0"})").find("both") != std::string::npos);
-  CHECK(mistakes(R"({"device": "mcp3208"})").find("go together") != std::string::npos);
-  CHECK(mistakes(R"({"file": "adc0", "channel": "voltage0"})").find("go together") != std::string::npos);
+  CHECK(mistakes(R"({"device": "mcp3208"})").find("need each other") != std::string::npos);
+  CHECK(mistakes(R"({"file": "adc0", "channel": "voltage0"})").find("need each other") != std::string::npos);
   CHECK(mistakes(R"({"device": "mcp3208", "channel": "volt0"})").find("is not the name of a channel") !=
         std::string::npos);
 }

@@ -194,7 +194,7 @@ TEST_SUITE("sensors") {
                               {.request = "VOLT?\n", .fields = {{.name = "v"}}});
     stage.loop.advance(5s);
     CHECK(stage.values.empty());
-    CHECK(stage.has_error("the device sends without a request"));
+    CHECK(stage.has_error("it sends without being asked"));
   }
 
   TEST_CASE("US-42 an answer may be a frame of bytes, with its checksum, after garbage, cut off, or damaged") {
@@ -224,17 +224,17 @@ TEST_SUITE("sensors") {
     before.clear();
     answer = good.substr(0, 7);
     stage.loop.advance(6s);
-    CHECK(stage.has_error("7 bytes came in 500 ms, and no complete frame"));
+    CHECK(stage.has_error("7 bytes came within 500 ms, but no complete frame"));
     const std::size_t count = stage.values.size();
     answer = good;
     answer[5] = '\x11';
     stage.loop.advance(10s);
     CHECK(stage.values.size() == count);
-    CHECK(stage.has_error("its checksum is 7c, and should be 7d"));
+    CHECK(stage.has_error("its checksum is 7c, but should be 7d"));
     CHECK(battery.counts().unreadable > 0);
     answer.clear();
     stage.loop.advance(10s);
-    CHECK(stage.has_error("nothing came in 500 ms"));
+    CHECK(stage.has_error("nothing came within 500 ms"));
     answer = good;
     stage.loop.advance(10s);
     CHECK(stage.values.size() > count);
@@ -276,7 +276,7 @@ TEST_SUITE("sensors") {
                                 {.request = "7\r\n", .fields = {{.name = "v"}}});
       stage.loop.advance(5s);
       CHECK(meter.counts().unreadable > 0);
-      CHECK(stage.has_error("bus meter: it echoes the request: switch its echo off"));
+      CHECK(stage.has_error("bus meter: it echoes the request: switch off the echo"));
     }
     DriverSensor<Query> skipping(stage.loop, patient("volt", 1_Hz), port, {},
                                  {.request = "7\r\n", .skip_lines = 1, .fields = {{.name = "v"}}});
@@ -310,7 +310,7 @@ TEST_SUITE("sensors") {
     stage.loop.advance(10s);
     CHECK(stage.values.size() == before);
     CHECK(stage.count_of("volt", 230.1) == before);
-    CHECK(stage.has_error("bus meter: what came back is not what was sent"));
+    CHECK(stage.has_error("bus meter: the returned bytes differ from the sent bytes"));
     CHECK(stage.loop.runtime().balances());
   }
 
@@ -459,7 +459,7 @@ TEST_SUITE("sensors") {
     stage.loop.advance(10s);
     CHECK(stage.values.empty());
     CHECK(stage.has_error("bus rs485, unit 5: it echoes the request: switch off the echo"));
-    CHECK_FALSE(stage.has_error("may still come"));
+    CHECK_FALSE(stage.has_error("may still be sending"));
     CHECK(a.counts().unreadable + b.counts().unreadable >= 6);
   }
 

@@ -532,7 +532,8 @@ TEST_SUITE("sensors") {
       loop.advance(45ms);
       CHECK(air.counts().unreadable == 1);
       REQUIRE(!errors.empty());
-      CHECK(errors.back().find("it has no conversion: it was reset meanwhile") != std::string::npos);
+      CHECK(errors.back().find("it has no measurement: check its supply: it was reset in the meantime") !=
+            std::string::npos);
       loop.advance(500ms);
       CHECK(air.health() == Health::ok);
       CHECK(air.counts().unreadable == 1);

@@ -110,7 +110,7 @@ TEST_SUITE("sensors") {
     CHECK(bench.errors.empty());
     CHECK(attitude.counts().failed == 0);
     bench.loop.advance(1s);
-    CHECK(bench.told("its fusion does not run, its status is 3"));
+    CHECK(bench.told("its sensor fusion does not run: its status is 3"));
     bench.chip.set(0x39, {5});
     bench.loop.advance(3s);
     CHECK(attitude.health() == Health::ok);
@@ -130,7 +130,7 @@ TEST_SUITE("sensors") {
     put_example(bench.chip);
     bench.chip.set(0x39, {1, 9});
     bench.loop.advance(100ms);
-    CHECK(attitude.status().reason.find("it reports its error 9") != std::string::npos);
+    CHECK(attitude.status().reason.find("it reports error 9") != std::string::npos);
     put_example(bench.chip);
     bench.loop.advance(3s);
     CHECK(attitude.health() == Health::ok);
@@ -145,7 +145,7 @@ TEST_SUITE("sensors") {
     put_example(bench.chip);
     bench.chip.set(0x36, {0x0b});
     bench.loop.advance(3s);
-    CHECK(bench.told("its self-test has found its gyroscope bad"));
+    CHECK(bench.told("its self-test found a fault in its gyroscope"));
     put_example(bench.chip);
     bench.loop.advance(3s);
     CHECK(attitude.health() == Health::ok);

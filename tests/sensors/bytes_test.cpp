@@ -73,8 +73,8 @@ TEST_SUITE("sensors") {
                                        {.name = "b", .scale = 0.01, .at = 3, .wire = Kind::u16, .bcd = true}},
                             .frame = LineFrame{.start = "x", .length = 5}};
     CHECK(values_of_line(digits, from_hex("12 34 56 98 76")) == "123456 98.76");
-    CHECK(values_of_line(digits, from_hex("12 3a 56 98 76")) == "its bytes are no decimal digits");
-    CHECK(values_of_line(digits, from_hex("12 34 56 f8 76")) == "its bytes are no decimal digits");
+    CHECK(values_of_line(digits, from_hex("12 3a 56 98 76")) == "its bytes are not decimal digits");
+    CHECK(values_of_line(digits, from_hex("12 34 56 f8 76")) == "its bytes are not decimal digits");
     LineConfig low_first = digits;
     low_first.frame->byte_order = WireOrder::little;
     CHECK(values_of_line(low_first, from_hex("37 18 02 13 01")) == "21837 1.13");
@@ -87,25 +87,25 @@ TEST_SUITE("sensors") {
     };
     CHECK(has(why({.at = 1, .bytes = 3}), "only a whole number"));
     CHECK(has(why({.at = 1, .bit = 3}), "only a whole number"));
-    CHECK(has(why({.at = 1, .wire = Kind::u16, .bytes = 3}), "more `bytes` than its type"));
+    CHECK(has(why({.at = 1, .wire = Kind::u16, .bytes = 3}), "`bytes` is larger than its type"));
     CHECK(has(why({.at = 1, .wire = Kind::u16, .bit = 16}), "beyond its bytes"));
-    CHECK(has(why({.at = 1, .wire = Kind::u16, .mask = 0x10000}), "one beyond them"));
+    CHECK(has(why({.at = 1, .wire = Kind::u16, .mask = 0x10000}), "a bit beyond them"));
     CHECK(has(why({.at = 1, .wire = Kind::u16, .mask = 0}), "has no bit"));
     CHECK(has(why({.at = 1, .wire = Kind::u16, .bit = 1, .mask = 2}), "both"));
     CHECK(has(why({.type = Kind::i16, .at = 1, .mask = 2}), "have no sign"));
-    CHECK(has(why({.type = Kind::u16, .at = 1, .bit = 2, .bcd = true}), "have no bits"));
+    CHECK(has(why({.type = Kind::u16, .at = 1, .bit = 2, .bcd = true}), "does not work together with `bit`"));
     CHECK(has(why({.at = 1, .bcd = true}), "only a whole number"));
-    CHECK(has(why({.type = Kind::boolean, .at = 1, .wire = Kind::f32}), "no number with decimals"));
-    CHECK(has(why({.type = Kind::u8, .at = 1, .mask = 15, .no_value = {"255"}}), "bytes or bits can be"));
-    CHECK(has(why({.type = Kind::boolean, .at = 1, .bit = 7, .no_value = {"255"}}), "bytes or bits can be"));
+    CHECK(has(why({.type = Kind::boolean, .at = 1, .wire = Kind::f32}), "cannot be a number with decimals"));
+    CHECK(has(why({.type = Kind::u8, .at = 1, .mask = 15, .no_value = {"255"}}), "bytes or bits can never have"));
+    CHECK(has(why({.type = Kind::boolean, .at = 1, .bit = 7, .no_value = {"255"}}), "bytes or bits can never have"));
     CHECK(why({.type = Kind::u64, .at = 1, .no_value = {"18446744073709551615"}}).empty());
-    CHECK(has(refusal_of_bytes({.name = "v", .base = 16, .bcd = true}, LineFormat::pattern), "are of bytes"));
-    CHECK(has(why({.base = 16, .at = 1, .wire = Kind::u16}), "no digits of another base"));
-    CHECK(has(why({.at = 7, .wire = Kind::i32}), "ends behind the frame"));
+    CHECK(has(refusal_of_bytes({.name = "v", .base = 16, .bcd = true}, LineFormat::pattern), "only fields of bytes"));
+    CHECK(has(why({.base = 16, .at = 1, .wire = Kind::u16}), "not digits of another base"));
+    CHECK(has(why({.at = 7, .wire = Kind::i32}), "ends beyond the frame"));
     CHECK(why({.at = 7, .wire = Kind::u16, .mask = 0xf000}).empty());
-    CHECK(has(refusal_of_bytes({.name = "v", .at = 1}, LineFormat::pattern), "are of binary frames"));
-    CHECK(has(refusal_of_bytes({.name = "v", .bit = 1}, LineFormat::csv), "are of bytes"));
-    CHECK(has(refusal_of_bytes({.name = "v", .wire = Kind::u8}, LineFormat::csv), "are of binary frames"));
+    CHECK(has(refusal_of_bytes({.name = "v", .at = 1}, LineFormat::pattern), "only binary frames have"));
+    CHECK(has(refusal_of_bytes({.name = "v", .bit = 1}, LineFormat::csv), "only fields of bytes"));
+    CHECK(has(refusal_of_bytes({.name = "v", .wire = Kind::u8}, LineFormat::csv), "only binary frames have"));
     const auto of_frame = [](const LineFrame& frame) {
       try {
         const detail::FrameCutter cutter(frame, 100);
@@ -114,8 +114,8 @@ TEST_SUITE("sensors") {
       }
       return std::string();
     };
-    CHECK(has(of_frame({.end = "x", .stuffing = Stuffing::slip}), "its mark says where"));
-    CHECK(has(of_frame({.length = 5, .stuffing = Stuffing::cobs}), "its mark says where"));
+    CHECK(has(of_frame({.end = "x", .stuffing = Stuffing::slip}), "a special byte marks the end"));
+    CHECK(has(of_frame({.length = 5, .stuffing = Stuffing::cobs}), "a special byte marks the end"));
     CHECK(of_frame({.stuffing = Stuffing::hdlc}).empty());
   }
 
@@ -163,7 +163,7 @@ TEST_SUITE("sensors") {
     CHECK(values_of_line({.format = LineFormat::pattern, .fields = {{.name = "a"}}, .pattern = "(?<a>[^;]+);"},
                          "21,;") == "\"21,\" is not a number");
     CHECK(values_of_line(tagged, from_hex("08 01 59 00 00 00 00 00 0c 13 61")) == "79139.3 absent");
-    CHECK(has(values_of_line(tagged, from_hex("08 01 54 0a")), "`pattern` is not found"));
+    CHECK(has(values_of_line(tagged, from_hex("08 01 54 0a")), "`pattern` does not match"));
     // A beacon of a RuuviTag, format 5: the example of its description.
     const LineConfig ruuvi{
         .format = LineFormat::pattern,

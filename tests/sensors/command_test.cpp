@@ -101,7 +101,7 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     sensor.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
     for (int i = 0; i < 5000 && errors.empty(); ++i) loop.run_for(1ms);
     REQUIRE_FALSE(errors.empty());
-    CHECK(has(errors.front(), "not a shell's line"));
+    CHECK(has(errors.front(), "not a line of shell commands"));
     CHECK(sensor.health() == Health::faulted);
     CHECK_THROWS_AS(CommandSensor(loop, {.name = "d"}, {.lines = {.fields = {{.name = "v"}}}}), SetupError);
   }

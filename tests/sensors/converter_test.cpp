@@ -196,7 +196,7 @@ TEST_SUITE("sensors") {
     CHECK(adc.counts().unreadable == 10);
     CHECK(adc.counts().published == 10);
     CHECK(adc.counts().failed == 0);
-    CHECK(bench.told("battery: it is at the end of its range: choose a larger `range`"));
+    CHECK(bench.told("battery: the voltage is at the end of its range: choose a larger `range`"));
     chip.codes[3] = 0x8000;  // now there is nothing to publish
     bench.loop.advance(100ms);
     CHECK(adc.counts().published == 10);
@@ -285,10 +285,11 @@ TEST_SUITE("sensors") {
     CHECK(has(problems(R"(, "data_rate": 860, "model": "ads1015")"), "take 128, 250, 490, 920, 1600, 2400 or 3300"));
     CHECK(has(problems(R"(, "data_rate": 3300)"), "take 8, 16, 32, 64, 128, 250, 475 or 860"));
     I2cBench bench;
-    CHECK_THROWS_WITH_AS(Adc(bench.loop, {.name = "a", .rate = 1_Hz}, bench.bus, {0x48}, {.channels = {{"", "5"}}}),
-                         doctest::Contains("channels[0].input: it has no input \"5\": its inputs are 0, 1, 2, 3, 0-1, "
-                                           "0-3, 1-3 and 2-3"),
-                         SetupError);
+    CHECK_THROWS_WITH_AS(
+        Adc(bench.loop, {.name = "a", .rate = 1_Hz}, bench.bus, {0x48}, {.channels = {{"", "5"}}}),
+        doctest::Contains(
+            "channels[0].input: it has no input \"5\": choose one of its inputs: 0, 1, 2, 3, 0-1, 0-3, 1-3 and 2-3"),
+        SetupError);
     CHECK_THROWS_AS(Adc(bench.loop, {.name = "a", .rate = 1_Hz}, bench.bus, {0x48}, {.data_rate = 100}), SetupError);
     Adc good(bench.loop, {.name = "a", .rate = 1_Hz}, bench.bus);  // the name is free still
     CHECK(good.is_running());
@@ -382,7 +383,7 @@ TEST_SUITE("sensors") {
     CHECK(scale.counts().published > published);
     chip.code = 0x7fffff;
     bench.loop.advance(200ms);
-    CHECK(scale.status().reason.find("the bridge is at the end of its range") != std::string::npos);
+    CHECK(scale.status().reason.find("the signal of the bridge is at the end of the range") != std::string::npos);
     chip.code = 5;
     chip.period = 1h;  // after the next sample
     bench.loop.advance(3s);

@@ -185,11 +185,11 @@ TEST_CASE("making a derived sensor refuses what cannot work") {
       CHECK_MESSAGE(std::string(error.what()).find(why) != std::string::npos, error.what());
     }
   };
-  refused({.on = "a"}, "no `expression`");
+  refused({.on = "a"}, "neither `expression` nor");
   refused({.on = "a", .expression = "x", .fields = {{"x", "x"}}}, "not both");
-  refused({.on = "a", .with = {"b", "b"}, .expression = "x"}, "there twice");
-  refused({.on = "a", .with = {"a"}, .expression = "x"}, "there twice");
-  refused({.on = "a", .expression = "x +"}, "the expression ends where a value is missing");
+  refused({.on = "a", .with = {"b", "b"}, .expression = "x"}, "listed twice");
+  refused({.on = "a", .with = {"a"}, .expression = "x"}, "listed twice");
+  refused({.on = "a", .expression = "x +"}, "the expression ends, but a value is missing");
   refused({.on = "a", .fields = {{"x", "x"}, {"x", "y"}}}, "x");
   refused({.on = "a", .fields = {{"time", "x"}}}, "time");
 }
@@ -207,7 +207,7 @@ TEST_CASE("check finds each mistake of a derived topic, with its column in the f
     return problems[0];
   };
   const std::string item = R"({"name": "d", "type": "derived", "on": "load", "expression": "1 + runing"})";
-  const Problem problem = shows(item, "bad-value", "there is no name `runing` (column 5 of it)", "running");
+  const Problem problem = shows(item, "bad-value", "there is no name `runing` (column 5 of the expression)", "running");
   CHECK(problem.path == "sensors[1].expression");
   CHECK(problem.place.column == std::string(R"({"sensors": [)").size() + load.size() + item.find("runing") + 1);
   shows(R"({"name": "d", "type": "derived", "on": "load", "expression": "running ="})", "bad-value", "write `==`");
@@ -217,7 +217,7 @@ TEST_CASE("check finds each mistake of a derived topic, with its column in the f
         "load");
   shows(R"({"name": "d", "type": "derived", "on": "load", "with": ["x"], "expression": "x"})", "unknown-topic",
         "\"x\"");
-  shows(R"({"name": "d", "type": "derived", "on": "load"})", "bad-value", "no `expression`");
+  shows(R"({"name": "d", "type": "derived", "on": "load"})", "bad-value", "neither `expression` nor");
   shows(R"({"name": "d", "type": "derived", "expression": "x"})", "missing-key", "on");
   shows(R"({"name": "d", "type": "derived", "on": "load", "expression": ")" + std::string(1 << 20, '(') + "\"}",
         "bad-value", "at most 4096");
@@ -233,7 +233,7 @@ TEST_CASE("a field that is called as a constant is not taken for that in silence
   };
   const Problems bare = with("2 * e");
   REQUIRE(bare.size() == 1);
-  CHECK(bare[0].message.find("`e` means the constant, but topic \"line\" has a field of that name") !=
+  CHECK(bare[0].message.find("`e` is the constant here, but the topic \"line\" also has a field with this name") !=
         std::string::npos);
   CHECK(with("2 * 'e'").size() == 0);
   CHECK(with("2 * line.e").size() == 0);

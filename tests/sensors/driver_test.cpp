@@ -515,7 +515,7 @@ TEST_SUITE("sensors") {
     first.close();
     Thermometer second(bench.loop, {.name = "b", .rate = 10_Hz}, bench.bus);
     CHECK_THROWS_WITH_AS(bench.bus.device({0x90}),
-                         doctest::Contains("8 bits, with the read/write bit; the address of 7 bits is 0x48"),
+                         doctest::Contains("8-bit address, with the read/write bit; the 7-bit address is 0x48"),
                          SetupError);
     CHECK_THROWS_AS(bench.bus.device({0x03}), SetupError);
     CHECK_THROWS_AS(
@@ -558,10 +558,10 @@ TEST_SUITE("sensors") {
     CHECK(problems(first + R"(, {"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c1"})")
               .find("has address 0x48 of the bus \"i2c1\" already; give each chip its own") != std::string::npos);
     CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "bus": "i2c1", "address": "0x90"})")
-              .find("0x90 is an address of 8 bits, with the read/write bit; the address of 7 bits is 0x48") !=
+              .find("0x90 is an 8-bit address, with the read/write bit; the 7-bit address is 0x48") !=
           std::string::npos);
-    CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "address": "high"})").find("is not an address") !=
-          std::string::npos);
+    CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "address": "high"})")
+              .find("is not a 7-bit address") != std::string::npos);
     CHECK(problems(R"({"name": "b", "type": "barometer", "rate": "1 Hz", "bus": "i2c1", "pressure_oversampling": 3})")
               .find("3 is not one of 1, 2, 4, 8, 16") != std::string::npos);
     CHECK(

@@ -211,21 +211,21 @@ TEST_CASE("US-12 a count of pulses that somebody sets back is told, and is no va
 TEST_CASE(
     "US-12 a counter and its count are found by name, number and path, and where there are several, not guessed") {
   Counter counter;
-  CHECK(refusal(counter, {}) == "this machine has none");  // it has no count yet
+  CHECK(refusal(counter, {}) == "this machine has no counter");  // it has no count yet
   counter.put("count0/count", "1");
   counter.put("count0/name", "Channel 1 Count");
   CHECK(refusal(counter, {}).empty());
   CHECK(refusal(counter, {.device = "0", .channel = "0"}).empty());
   CHECK(refusal(counter, {.device = "counter0", .channel = "count0"}).empty());
   CHECK(refusal(counter, {.device = "/sys/bus/counter/devices/counter0", .channel = "Channel 1 Count"}).empty());
-  CHECK(refusal(counter, {.device = "qeb"}) == "there are counter0 (qep)");
-  CHECK(refusal(counter, {.channel = "1"}) == "there are count0 (Channel 1 Count)");
+  CHECK(refusal(counter, {.device = "qeb"}) == "available: counter0 (qep)");
+  CHECK(refusal(counter, {.channel = "1"}) == "available: count0 (Channel 1 Count)");
   counter.put("count1/count", "1");
   CHECK(refusal(counter, {}) == "there are several: count0 (Channel 1 Count), count1");
   CHECK(refusal(counter, {.channel = "count1"}).empty());
   counter.directory.file("sys/bus/counter/devices/counter1/name", "qep\n");
   CHECK(refusal(counter, {.device = "qep"}) == "there are several: counter0 (qep), counter1 (qep)");
-  CHECK(refusal(counter, {.device = "1"}) == "this machine has none");
+  CHECK(refusal(counter, {.device = "1"}) == "this machine has no counter");
 }
 
 TEST_CASE("US-12 what an encoder counts is set when it is opened, and a function that the driver lacks is refused") {

@@ -55,12 +55,12 @@ TEST_SUITE("sensors") {
                                        {.name = "p", .suffix = "Pa", .decimal = ',', .thousands = "."}},
                             .separator = ';'};
     CHECK(values_of(german, "T=-3,25; 101.325,5 Pa") == "-3.25 101325.5");
-    CHECK(has(values_of(german, "T=-3.25;1 Pa"), "has a point, and its `decimal` is a comma"));
+    CHECK(has(values_of(german, "T=-3.25;1 Pa"), "has a point, but its `decimal` is a comma"));
     CHECK(has(values_of(german, "t=1;1 Pa"), "does not begin with its `prefix`"));
     // Never a number of another size: a point is either the mark of thousands or a mistake.
     CHECK(values_of(german, "T=1;1.234.567,5 Pa") == "1 1234567.5");
     for (const char* const wrong : {"1.23", "12.34.5", "1234.567", ".123", "1.234.", "1..234", "1.2345", "0.5"})
-      CHECK(has(values_of(german, "T=1;" + std::string(wrong) + " Pa"), "groups of three digits"));
+      CHECK(has(values_of(german, "T=1;" + std::string(wrong) + " Pa"), "not before a group of three digits"));
 
     const LineConfig hex{
         .fields = {{.name = "a", .type = Kind::u16, .base = 16}, {.name = "b", .scale = 0.5, .base = 16}}};
@@ -76,9 +76,9 @@ TEST_SUITE("sensors") {
     CHECK(has(values_of(bytes, "-FFEC,0"), "out-of-range"));
     CHECK(has(values_of(hex, "10000,1"), "out-of-range"));
     CHECK(has(values_of(hex, "-1,1"), "not-a-number"));
-    CHECK(has(values_of(hex, "fg,1"), "is not a number of its `base`"));
-    CHECK(has(values_of(hex, "0x,1"), "is not a number of its `base`"));
-    CHECK(has(values_of(hex, "fffffffffffffffff,1"), "is not a number of its `base`"));
+    CHECK(has(values_of(hex, "fg,1"), "is not a number in its `base`"));
+    CHECK(has(values_of(hex, "0x,1"), "is not a number in its `base`"));
+    CHECK(has(values_of(hex, "fffffffffffffffff,1"), "is not a number in its `base`"));
   }
 
   TEST_CASE("US-13 blanks within the quotes of a number do not count, those of a text do") {
@@ -116,16 +116,16 @@ TEST_SUITE("sensors") {
   }
 
   TEST_CASE("US-13 settings of fields that exclude each other are refused with the reason") {
-    CHECK(has(refusal_of({.type = Kind::text, .decimal = ','}), "are of numbers"));
+    CHECK(has(refusal_of({.type = Kind::text, .decimal = ','}), "only numbers have"));
     CHECK(has(refusal_of({.decimal = ';'}), "a point or a comma"));
     CHECK(has(refusal_of({.thousands = "."}), "another meaning"));
     CHECK(has(refusal_of({.thousands = ", "}), "more than one character"));
-    CHECK(has(refusal_of({.decimal = ',', .base = 16}), "no decimals"));
-    CHECK(has(refusal_of({.type = Kind::text, .words = {{"a", 1}}}), "this is a text"));
-    CHECK(has(refusal_of({.type = Kind::u8, .words = {{"a", 0.5}}}), "not whole"));
-    CHECK(has(refusal_of({.decimal = ','}), "has it within its numbers"));  // the separator is a comma, too
-    CHECK(has(refusal_of({.thousands = ","}), "has it within its numbers"));
-    CHECK(has(refusal_of({.type = Kind::i32, .decimal = ','}), "a whole number has no `decimal`"));
+    CHECK(has(refusal_of({.decimal = ',', .base = 16}), "cannot have `decimal` or `thousands`"));
+    CHECK(has(refusal_of({.type = Kind::text, .words = {{"a", 1}}}), "this field is a text"));
+    CHECK(has(refusal_of({.type = Kind::u8, .words = {{"a", 0.5}}}), "not a whole number"));
+    CHECK(has(refusal_of({.decimal = ','}), "has this character within its numbers"));  // the separator is a comma, too
+    CHECK(has(refusal_of({.thousands = ","}), "has this character within its numbers"));
+    CHECK(has(refusal_of({.type = Kind::i32, .decimal = ','}), "a whole number cannot have `decimal`"));
     CHECK(refusal_of({.thousands = "'", .no_value = {""}}).empty());
   }
 

@@ -156,17 +156,17 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(of("b5") == "left out");
     LineConfig wrong = config;
     wrong.only = LineMatch{.is = {"x"}};
-    CHECK(has(refusal_of(wrong), "only: frames of bytes have no text"));
+    CHECK(has(refusal_of(wrong), "only: binary frames have no text"));
     wrong.only = LineMatch{.at = 1};
     CHECK(has(refusal_of(wrong), "it does not say what the bytes are"));
     wrong.only = LineMatch{.is_hex = {"0"}};
     CHECK(has(refusal_of(wrong), "`is_hex` is not bytes"));
     wrong.only = LineMatch{.at = 3, .is_hex = {"00", "01 07"}};
-    CHECK(has(refusal_of(wrong), "its bytes end behind the frame"));
+    CHECK(has(refusal_of(wrong), "its bytes end beyond the frame"));
     wrong = config;
     wrong.checksum = LineChecksum{.type = ChecksumType::sum8, .form = ChecksumForm::big, .from = 4};
-    CHECK(has(refusal_of(wrong), "checksum: `from` is behind the frame"));
-    CHECK(has(refusal_of({.fields = {{.name = "a"}}, .only = LineMatch{.is_hex = {"00"}}}), "are of binary frames"));
+    CHECK(has(refusal_of(wrong), "checksum: `from` is beyond the end of the frame"));
+    CHECK(has(refusal_of({.fields = {{.name = "a"}}, .only = LineMatch{.is_hex = {"00"}}}), "only binary frames have"));
   }
 
   TEST_CASE("US-13 a line with a wrong checksum is unreadable, never a value") {
@@ -177,7 +177,7 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
         .only = LineMatch{.column = 1, .is = {"$WIMWV", "$IIMWV"}},
         .checksum = LineChecksum{.type = ChecksumType::xor8, .after = "*", .from = 1}};
     CHECK(values_of_line(wind, "$WIMWV,214.8,R,0.1,K,A*28") == "$WIMWV 214.8 0.1");
-    CHECK(has(values_of_line(wind, "$WIMWV,214.9,R,0.1,K,A*28"), "its checksum is 28, and should be 29"));
+    CHECK(has(values_of_line(wind, "$WIMWV,214.9,R,0.1,K,A*28"), "its checksum is 28, but should be 29"));
     CHECK(has(values_of_line(wind, "$WIMWV,214.8,R,0.1,K,A"), "it has no checksum after \"*\""));
     CHECK(has(values_of_line(wind, "$WIMWV,214.8,R,0.1,K,A*2"), "cut off"));
     CHECK(has(values_of_line(wind, "$WIMWV,214.8,R,0.1,K,A*2x"), "cut off"));
@@ -343,8 +343,8 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(heard.events == std::vector<std::string>{"35 70", "36 70"});
     CHECK(heard.counts.unreadable == 2);
     REQUIRE(heard.errors.size() == 2);
-    CHECK(heard.errors[0] == "4 bytes are thrown away");
-    CHECK(heard.errors[1] == "5 bytes are thrown away");
+    CHECK(heard.errors[0] == "4 bytes are discarded");
+    CHECK(heard.errors[1] == "5 bytes are discarded");
     for (std::size_t at = 0; at < a.size(); ++at) {  // one byte is wrong, or missing: the next frame is there
       CAPTURE(at);
       std::string wrong = a;
@@ -412,7 +412,7 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     const LineConfig stars{
         .fields = {{.name = "v"}},
         .checksum = LineChecksum{.type = ChecksumType::sum8, .form = ChecksumForm::big, .after = "*"}};
-    CHECK(values_of_line(stars, "9***") == "its checksum is 2a, and should be 63 (hexadecimal)");
+    CHECK(values_of_line(stars, "9***") == "its checksum is 2a, but should be 63 (hexadecimal)");
     std::string sum = "123400";
     for (char last = '0'; last <= '9'; ++last)
       for (char before = '0'; before <= '9'; ++before) {
@@ -438,7 +438,7 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(heard.events == std::vector<std::string>{"1 2", "4 5", "6 7"});
     CHECK(heard.counts.unreadable == 1);
     REQUIRE(!heard.errors.empty());
-    CHECK(has(heard.errors[0], "another one begins within it"));
+    CHECK(has(heard.errors[0], "a second frame begins inside this frame"));
   }
 
 #ifdef RTDATA_WITH_PATTERN
@@ -455,7 +455,7 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
       }
       return std::string();
     };
-    CHECK(has(refused(), "may be those that end a line"));
+    CHECK(has(refused(), "may contain bytes that end a line"));
     lines.frame = LineFrame{.stuffing = Stuffing::slip};
     CHECK(refused().empty());
   }
@@ -516,7 +516,7 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     const Heard heard = hear(pms5003, particles(35) + "this is no frame", 100, 2);
     CHECK(heard.counts.unreadable == 1);
     REQUIRE(heard.errors.size() == 1);
-    CHECK(heard.errors.front() == "16 bytes are thrown away");
+    CHECK(heard.errors.front() == "16 bytes are discarded");
   }
 
   TEST_CASE("US-9 a sensor of frames that its own callback stops, or stops and starts, takes nothing twice") {
@@ -580,12 +580,13 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(heard.counts.unreadable == 0);
 
     const LineField field{.name = "v"};
-    CHECK(has(refusal_of({.format = LineFormat::binary, .fields = {field}}), "frame: bytes without a frame"));
+    CHECK(has(refusal_of({.format = LineFormat::binary, .fields = {field}}), "frame: `format` binary needs a `frame`"));
     CHECK(has(
         refusal_of({.format = LineFormat::binary, .fields = {field}, .frame = LineFrame{.start = "x", .length = 9}}),
         "it has no place in the frame"));
-    CHECK(refusal_of({.fields = {field}, .frame = LineFrame{}}) == "frame: nothing says where a frame begins or ends");
-    CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start = "x"}}), "where a frame ends"));
+    CHECK(refusal_of({.fields = {field}, .frame = LineFrame{}}) ==
+          "frame: the beginning and the end of a frame are unknown");
+    CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start = "x"}}), "the end of a frame is unknown"));
     CHECK(
         has(refusal_of({.fields = {field}, .frame = LineFrame{.start = "x", .start_hex = "78", .end = "y"}}), "both"));
     CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start_hex = "7", .end = "y"}}), "not bytes"));
@@ -594,19 +595,20 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(has(refusal_of({.format = LineFormat::json, .fields = {field}, .only = LineMatch{.column = 1, .is = {"1"}}}),
               "only CSV has columns"));
     CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.type = ChecksumType::sum6}}), "one character"));
-    CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.optional = true}}), "whether there is one"));
-    CHECK(
-        has(refusal_of({.fields = {field}, .checksum = LineChecksum{.of = ChecksumOf::row}}), "only labels have rows"));
+    CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.optional = true}}),
+              "whether a line has a checksum"));
+    CHECK(has(refusal_of({.fields = {field}, .checksum = LineChecksum{.of = ChecksumOf::row}}),
+              "`of` row works only with `format` labels"));
     const auto binary = [](LineField of) {
       return LineConfig{
           .format = LineFormat::binary, .fields = {std::move(of)}, .frame = LineFrame{.start = "x", .length = 4}};
     };
-    CHECK(has(refusal_of(binary({.name = "v", .at = 1})), "it ends behind the frame"));
+    CHECK(has(refusal_of(binary({.name = "v", .at = 1})), "it ends beyond the frame"));
     CHECK(has(refusal_of(binary({.name = "v", .type = Kind::u8, .at = 1, .no_value = {"256"}})),
-              "no number that its bytes"));
+              "its bytes or bits can never have"));
     CHECK(has(refusal_of(binary({.name = "v", .type = Kind::u8, .at = 1, .no_value = {"0xff"}})),
-              "no number that its bytes"));
-    CHECK(has(refusal_of(binary({.name = "v", .type = Kind::u8, .optional = true, .at = 1})), "always there"));
+              "its bytes or bits can never have"));
+    CHECK(has(refusal_of(binary({.name = "v", .type = Kind::u8, .optional = true, .at = 1})), "always exist"));
     CHECK(refusal_of(binary({.name = "v", .type = Kind::i8, .at = 1, .no_value = {"-128"}})).empty());
     for (LineConfig nmea : {LineConfig{.frame = LineFrame{.start = "$", .end = "x"}}, LineConfig{.line_end = '\r'},
                             LineConfig{.only = LineMatch{.begins = "$"}}, LineConfig{.checksum = LineChecksum{}}}) {
@@ -614,9 +616,9 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
       CHECK_THROWS_AS((void)detail::decoder_of_lines(nmea), SetupError);
     }
     CHECK(has(refusal_of({.fields = {field}, .frame = LineFrame{.start = "xy", .length_at = 1}}), "within the start"));
-    CHECK(has(refusal_of({.fields = {{.name = "v", .suffix = "kg "}}}), "never comes"));
+    CHECK(has(refusal_of({.fields = {{.name = "v", .suffix = "kg "}}}), "never matches"));
     CHECK(has(refusal_of({.fields = {{.name = "v", .thousands = "e"}}}), "another meaning"));
-    CHECK(has(refusal_of({.fields = {{.name = "v", .at = 1}}}), "are of binary frames"));
-    CHECK(has(refusal_of({.fields = {{.name = "v", .column = 2}}}), "`column` is of labels"));
+    CHECK(has(refusal_of({.fields = {{.name = "v", .at = 1}}}), "only binary frames have"));
+    CHECK(has(refusal_of({.fields = {{.name = "v", .column = 2}}}), "only labels have `column`"));
   }
 }

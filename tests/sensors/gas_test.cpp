@@ -168,7 +168,7 @@ TEST_SUITE("sensors") {
     bench.chip->set("e4 b8", "80 06 04");
     bench.chip->set("ec 05", "00 00 81 66 67 a2 5e b9 3c");
     bench.loop.advance(1s);
-    CHECK(bench.says("it says 0 ppm"));
+    CHECK(bench.says("it reports 0 ppm"));
     CHECK(bench.all.size() == 1);
     bench.chip->set("e4 b8", "80 00 a2");  // as after a reset
     bench.loop.advance(14s);

@@ -81,7 +81,8 @@ TEST_CASE("US-36 a line is found by its name, its number and its chip, and what 
   const auto said = [&](GpioInput input) { return refusal([&] { (void)GpioLine::input(input, pins); }); };
   CHECK(has(said({.line = 32}), "not-found: cannot use the GPIO line: line 32: gpiochip0 has the lines 0 to 31"));
   CHECK(has(said({.line = "GPIQ17"}), "did you mean GPIO17?"));
-  CHECK(has(said({.line = 1, .chip = "gpiochip7"}), "there is no chip gpiochip7, but gpiochip0 (pinctrl, 32 lines)"));
+  CHECK(has(said({.line = 1, .chip = "gpiochip7"}),
+            "there is no chip gpiochip7; available: gpiochip0 (pinctrl, 32 lines)"));
   CHECK(has(said({.line = "gpiochip7:1"}), "there is no chip gpiochip7"));
 
   pins->add_chip("gpiochip1", 8, "GPIO", "expander");
@@ -460,11 +461,12 @@ TEST_CASE("US-36 gpio: the levels of several lines at a rate, read on a lane, th
   CHECK_FALSE(bench.pins->is_taken("gpiochip0", 3));
   CHECK_FALSE(bench.pins->is_taken("gpiochip0", 17));
   CHECK(sensor.counts().balances());
-  CHECK(has(refusal([&] { LevelsSensor(bench.loop, {.name = "x", .rate = 1_Hz}, {}, bench.pins); }), "there is none"));
+  CHECK(has(refusal([&] { LevelsSensor(bench.loop, {.name = "x", .rate = 1_Hz}, {}, bench.pins); }),
+            "there are no lines"));
   config.lines[1] = config.lines[0];
   config.lines[1].name = "again";
   CHECK(has(refusal([&] { LevelsSensor(bench.loop, {.name = "x", .rate = 1_Hz}, config, bench.pins); }),
-            "GPIO17 is there twice"));
+            "GPIO17 is listed twice"));
 }
 
 TEST_CASE("US-36 NFR-5 two sensors on one line are a mistake that check tells, however its chip is written") {

@@ -506,7 +506,7 @@ TEST_CASE("US-14 a receiver that is silent has a gap; gpsd that is silent too is
   // A connection whose other end is gone without a word.
   bench.loop.advance(11s);
   CHECK(bench.sensor.health() == Health::faulted);
-  CHECK(bench.errors.back().why == "it gives no sign of life");
+  CHECK(bench.errors.back().why == "it does not answer");
   bench.loop.advance(1s);
   CHECK(bench.accept());
   bench.say(fix_line("/dev/a", "2026-01-01T00:00:40.000Z", 3));
@@ -549,8 +549,8 @@ TEST_CASE("US-14 several receivers behind one gpsd are kept apart by device, or 
   CHECK(both.seen[5].fix.satellites_used == 6);
   REQUIRE(both.errors.size() == 1);  // once
   CHECK(both.errors[0].text() == "several receivers: 127.0.0.1 port " + std::to_string(both.gpsd.port()) +
-                                     ": gpsd has /dev/a, /dev/b: set `device` to one of these, and make a sensor for "
-                                     "each; here their reports come as one series");
+                                     ": gpsd has /dev/a, /dev/b: make a sensor for each, with its `device`: now the "
+                                     "reports of all of them come mixed");
   CHECK(both.sensor.health() == Health::degraded);
 
   GpsBench none({.device = "/dev/c"});

@@ -265,13 +265,13 @@ TEST_CASE("FW-2 an input of hwmon that is not there, or is one of several, is no
     }
     return std::string();
   };
-  CHECK(refusal(HostQuantity::voltage, "") == "this machine shows none");
+  CHECK(refusal(HostQuantity::voltage, "") == "this machine has no hwmon sensors");
   root.file("sys/class/hwmon/hwmon0/name", "nvme\n");
   root.file("sys/class/hwmon/hwmon0/in0_input", "1\n");
   CHECK(refusal(HostQuantity::voltage, "").empty());
   CHECK(refusal(HostQuantity::voltage, "nvme").empty());
-  CHECK(refusal(HostQuantity::voltage, "nvme/in1") == "there are nvme/in0 (nvme)");
-  CHECK(refusal(HostQuantity::fan, "nvme/in0") == "this machine shows none");
+  CHECK(refusal(HostQuantity::voltage, "nvme/in1") == "available: nvme/in0 (nvme)");
+  CHECK(refusal(HostQuantity::fan, "nvme/in0") == "this machine has no hwmon sensors");
   root.file("sys/class/hwmon/hwmon0/in10_input", "1\n");
   root.file("sys/class/hwmon/hwmon0/in2_input", "1\n");
   CHECK(refusal(HostQuantity::voltage, "nvme") ==

@@ -169,7 +169,7 @@ TEST_CASE("US-17 what a URL answers are events: JSON by its keys, CSV after its 
               .fields = {{.name = "t"}, {.name = "h"}},
               .pattern = R"((?s)Temp</td><td>(?<t>[-0-9.]+).*Hum</td><td>(?<h>[0-9]+))"});
   CHECK(page.rows_of("<html>\n<td>Temp</td><td>-2.5 C</td>\n<td>Hum</td><td>81 %</td></html>") == Rows{{-2.5, 81}});
-  CHECK(has(page.error_of("<html>busy</html>"), "`pattern` is not found"));
+  CHECK(has(page.error_of("<html>busy</html>"), "`pattern` does not match"));
 #endif
 }
 
@@ -210,7 +210,7 @@ TEST_CASE("US-17 a URL may be asked by a request with a text, and with the right
   Bench wrong({.server = {.url = {}, .user = "admin", .password = "other-s3cret"}, .digest = true});
   const std::string error = wrong.error_in("digest");
   CHECK_MESSAGE(has(error, "the server answers 401 Unauthorized"), error);
-  CHECK(has(error, "give the right `user` and `password`"));
+  CHECK(has(error, "set the right `user` and `password`"));
 }
 
 TEST_CASE("US-17 what the server has marked as unchanged is no event, and counts as repeated") {
@@ -245,14 +245,15 @@ TEST_CASE("US-7 what a server says instead of data is a failure with its reason,
   std::string error = bench.error_in("status 503 -- restarting, secret-token");
   CHECK_MESSAGE(has(error, "the server answers 503 Service Unavailable: restarting, (secret)"), error);
   CHECK(bench.errors.back().code == Errc::busy);
-  CHECK(has(bench.error_in("status 404"), "there is nothing at this URL: correct `url`"));
+  CHECK(has(bench.error_in("status 404"), "correct `url`: the server has nothing there"));
   CHECK(has(bench.error_in("status 429"), "set a smaller `rate`"));
-  CHECK(has(bench.error_in("status 204"), "an answer with data has status 200"));
+  CHECK(has(bench.error_in("status 204"), "an answer with data must have status 200"));
   error = bench.error_in("status 302 Location:http://other.example/secret-path");
-  CHECK_MESSAGE(has(error, "the server answers 302 Found: the server leads to http://other.example: if that is right"),
-                error);
+  CHECK_MESSAGE(
+      has(error, "the server answers 302 Found: the server redirects to http://other.example: if that is right"),
+      error);
   CHECK(!has(error, "secret-path"));
-  CHECK(has(bench.error_in("status 301 Location:/index.json"), "the server wants another path: correct `url`"));
+  CHECK(has(bench.error_in("status 301 Location:/index.json"), "correct `url`: the server redirects to another path"));
   CHECK(bench.server.request_count() == 6);  // no redirection was followed
   error = bench.error_in("hang");
   CHECK_MESSAGE(has(error, "it did not answer within 300 ms"), error);
@@ -277,7 +278,7 @@ TEST_CASE("US-7 an answer that cannot be decoded is unreadable, and it is said w
     const std::string error = bench.error_of(content);
     CHECK_MESSAGE(has(error, why), error);
   };
-  is_told("<!DOCTYPE html><title>Log in</title>", "the answer is HTML, not JSON: a page for people");
+  is_told("<!DOCTYPE html><title>Log in</title>", "the answer is HTML, not JSON: check that `url` leads to the data");
   is_told("\n <html>", "the answer is HTML, not JSON");
   is_told("<?xml version=\"1.0\"?><x>1</x>", "the answer is XML, not JSON");
   is_told("", "it is empty");
@@ -325,7 +326,7 @@ TEST_CASE("US-7 a server that is away is a fault and a gap, and good again when 
   bench.sensor.start();
   bench.loop.advance(10s);
   CHECK(bench.sensor.health() == Health::faulted);
-  CHECK(has(bench.last_error(), "Connection refused: no program listens at this port"));
+  CHECK(has(bench.last_error(), "Connection refused: check that the server runs"));
   CHECK(bench.rows.empty());
   const auto away = bench.sensor.counts();
   CHECK(away.failed == 11);
@@ -424,7 +425,9 @@ TEST_CASE("US-17 HTTPS: an answer comes only from a server whose certificate is 
     if (name == "right") continue;
     REQUIRE(hearing.errors.size() == 1);
     CHECK(hearing.errors[0].code == Errc::not_permitted);
-    const std::string advice = name == "self" ? "tls.ca_file" : name == "expired" ? "have it renewed" : "another name";
+    const std::string advice = name == "self"      ? "tls.ca_file"
+                               : name == "expired" ? "renew the server's certificate"
+                                                   : "the name of the server's certificate";
     CHECK_MESSAGE(has(hearing.last_error(), advice), hearing.last_error());
   }
 }
@@ -443,13 +446,13 @@ TEST_CASE("US-17 check finds the mistakes of http sensors, and a program cannot 
   is_refused(url + R"("format": "json")", "fields");
   is_refused(R"("url": "ftp://x/", )" + fields, "the scheme is ftp");
   is_refused(R"("url": "x/", )" + fields, "it has no scheme");
-  is_refused(R"("url": "http://a:b@x/", )" + fields, "user and password in a URL");
+  is_refused(R"("url": "http://a:b@x/", )" + fields, "with user and password in it");
   is_refused(url + R"("digest": true, )" + fields, "it needs `user` and `password`");
   is_refused(url + R"("headers": {"If-None-Match": "x"}, )" + fields, "it is set already");
   is_refused(url + R"("method": "post", "content_type": "a\nb", )" + fields, "it has a line break");
   is_refused(url + R"("format": "binary", )" + fields, "binary");
   is_refused(url + R"("only": {"column": 1, "is": ["a"]}, )" + fields, "only CSV has columns");
-  is_refused(url + R"("format": "csv", "separator": "e", )" + fields, "numbers may have this character");
+  is_refused(url + R"("format": "csv", "separator": "e", )" + fields, "numbers may contain this character");
   is_refused(url + R"("max_answer": 1048577, )" + fields, "max_answer");
   is_refused(url + R"("fields": [{"name": "x"}, {"name": "x"}])", "x");
 

@@ -84,7 +84,7 @@ void try_identities() {
     CHECK_MESSAGE(against.find(", and `identity`") != std::string::npos, against);
     // The known one is another one, too.
     put_code(chip, identity.number, identity.value, identity.size());
-    CHECK(failure(found).find("leave `identity` out") != std::string::npos);
+    CHECK(failure(found).find("remove `identity`") != std::string::npos);
     CHECK(failure(std::nullopt).find("its identity is") == std::string::npos);
     for (const unsigned nothing : {0x00u, 0xffu}) {  // what there is without a chip: no clone
       if (identity.is_of(nothing * 0x010101)) continue;
@@ -154,21 +154,20 @@ TEST_SUITE("sensors") {
          {"\"\"", "\"0x\"", "\"0x9g\"", "\"MPU\"", "\" 0x98\"", "\"-1\"", "\"0x98 \"", "\"98h\"", "\"0x1ffffffff\""})
       refused(imu + bad, "is not an identity: write it as \"0x98\"");
     for (const char* bad : {"-1", "3.5", "true", "[152]", "{}", "1e30"}) refused(imu + bad, "sensors[0].identity");
-    refused(imu + "256", "0x100 has bits that are none of the identity of an MPU-6050, which are those of 0xff");
-    refused(imu + "16777216", "0x1000000 is more than the identity of any chip");
-    refused(R"("type": "nau7802", "identity": "0x1f")", "which are those of 0x0f");
-    refused(R"("type": "ina", "model": "ina226", "identity": "0x2261")", "which are those of 0xfff0");
+    refused(imu + "256", "0x100 has bits outside the identity of an MPU-6050, which has the bits 0xff");
+    refused(imu + "16777216", "0x1000000 is larger than the identity of any chip");
+    refused(R"("type": "nau7802", "identity": "0x1f")", "which has the bits 0x0f");
+    refused(R"("type": "ina", "model": "ina226", "identity": "0x2261")", "which has the bits 0xfff0");
     CHECK(problems_of(R"("type": "ina", "model": "ina226", "identity": "0x2270")").empty());
     CHECK(problems_of(R"("type": "magnetometer", "model": "hmc5883l", "identity": "0x483434")").empty());
-    refused(R"("type": "ina", "identity": "0x2260")",
-            "the INA219 has no register that tells its identity; leave it out");
+    refused(R"("type": "ina", "identity": "0x2260")", "the INA219 has no identity register; remove it");
     refused(R"("type": "barometer", "model": "ms5611", "identity": 88)",
-            "the MS5611 has no register that tells its identity; leave it out");
+            "the MS5611 has no identity register; remove it");
     refused(R"("type": "lm75", "identity": "0x98")", "unknown key");
     IdentityBench bench;
     CHECK_THROWS_WITH_AS(DriverSensor<Barometer>(bench.loop, {.name = "a", .rate = 1_Hz}, bench.bus, {0x77},
                                                  {.model = BarometerModel::ms5611, .identity = 0x58}),
-                         doctest::Contains("the MS5611 has no register that tells its identity"), SetupError);
+                         doctest::Contains("the MS5611 has no identity register"), SetupError);
   }
 
   TEST_CASE(
@@ -214,9 +213,10 @@ TEST_SUITE("sensors") {
       bench.loop.advance(500ms);
       return first.status().reason;
     };
-    CHECK(swap(0x68).find("its identity is 0x68, `identity` says 0x98 (that of an MPU-6050 is 0x68): leave `identity` "
-                          "out") != std::string::npos);
-    CHECK(swap(0x71).find("it seems to be an MPU-9250: set `model`, and leave `identity` out") != std::string::npos);
+    CHECK(swap(0x68).find(
+              "its identity is 0x68, `identity` says 0x98 (that of an MPU-6050 is 0x68): remove `identity`") !=
+          std::string::npos);
+    CHECK(swap(0x71).find("it seems to be an MPU-9250: set `model`, and remove `identity`") != std::string::npos);
     CHECK(swap(0x99).find("check which chip is at this address, and `model`, and `identity`") != std::string::npos);
     swap(0x98);
     CHECK(first.health() == Health::ok);

@@ -248,7 +248,7 @@ TEST_CASE("FW-2 an IIO device is found by name, label, number and path, and says
   const Error none = IioDevice::find("bmp281", root).error();
   CHECK(none.code == Errc::not_found);
   CHECK(none.why.find("mpu6050 (iio:device0)") != std::string::npos);
-  CHECK(IioDevice::find("x", root + "/empty").error().why == "this machine has none");
+  CHECK(IioDevice::find("x", root + "/empty").error().why == "this machine has no IIO device");
 
   const IioDevice device = IioDevice::find("0", root).or_throw();
   std::string names;
@@ -323,7 +323,7 @@ TEST_CASE(
     IioBufferSensor one(stage.loop, {.name = "one"}, config);
     stage.until([&] { return fake.attribute("buffer/enable") == "1"; });
     CHECK(one.health() == Health::ok);
-    CHECK(stage.log.find("was on, and no program had it open") != std::string::npos);
+    CHECK(stage.log.find("was on, but no program had it open") != std::string::npos);
     CHECK(fake.attribute("scan_elements/in_temp_en") == "1");
     CHECK(fake.attribute("scan_elements/in_timestamp_en") == "1");
     CHECK(fake.attribute("scan_elements/in_accel_x_en") == "0");
@@ -369,7 +369,7 @@ TEST_CASE(
     fake.scan(2, 0, first + 10ms);
     fake.scan(3, 0, first + 50ms);
     stage.until([&] { return stage.values.size() == 3; });
-    CHECK(stage.has_error(Errc::backlog, "about 3 by their times: the trigger or the driver left them out"));
+    CHECK(stage.has_error(Errc::backlog, "about 3 by their times: the trigger or the driver skipped them"));
     CHECK(imu.health() == Health::degraded);
     fake.scan(4, 0, first + 60ms);
     stage.until([&] { return stage.values.size() == 4; });
@@ -470,7 +470,7 @@ TEST_CASE("FW-2 US-15 an IIO device buffered: what cannot be set up says what, w
     return text.find(part) != std::string::npos;
   };
   config.device = "bmp280";
-  CHECK(says(refusal(), "there are mpu6050 (iio:device0)"));
+  CHECK(says(refusal(), "available: mpu6050 (iio:device0)"));
   config.device = "mpu6050";
   config.trigger = "timer";
   CHECK(says(refusal(), "there is no trigger timer"));
@@ -491,7 +491,7 @@ TEST_CASE("FW-2 US-15 an IIO device buffered: what cannot be set up says what, w
   fake.attribute("scan_elements/in_temp_type", "le:u12/16>>4\n");
   CHECK(says(refusal(), "iio:device0"));
   ::unlink((fake.directory.path() + "/sys/bus/iio/devices/iio:device0/buffer/enable").c_str());
-  CHECK(says(refusal(), "its driver has none"));
+  CHECK(says(refusal(), "its driver has no buffer"));
 }
 
 TEST_CASE("FW-2 US-15 an IIO device buffered: stopped while it is being opened, it turns nothing on that stays on") {

@@ -202,7 +202,8 @@ TEST_SUITE("sensors") {
     CHECK(imu.counts().failed > 2);
     CHECK(imu.counts().lost > 700);
     CHECK(imu.counts().lost < bench.mpu.taken);
-    CHECK(imu.status().reason.find("read it more often, or let it measure more slowly") != std::string::npos);
+    CHECK(imu.status().reason.find("read it more often, or set a lower sample rate in the device") !=
+          std::string::npos);
     CHECK(bench.loop.runtime().balances());
   }
 

@@ -475,7 +475,7 @@ TEST_SUITE("sensors") {
     CHECK(chip.get(0x7f) == 0x21);
     CHECK_THROWS_WITH_AS(DriverSensor<Imu>(bench.loop, {.name = "b", .rate = 50_Hz}, bench.bus, {0x68},
                                            {.model = ImuModel::icm20948, .self_test = true}),
-                         doctest::Contains("there are no limits for that of the ICM-20948"), SetupError);
+                         doctest::Contains("no limits are known for the self-test of the ICM-20948"), SetupError);
   }
 
   TEST_CASE("US-15 a FIFO that ran over: each sample that is gone is counted, of an LSM6DSO exactly") {
@@ -514,7 +514,8 @@ TEST_SUITE("sensors") {
       bench.loop.advance(30s);
       CHECK(sensor.counts().lost > 1000);
       CHECK(sensor.counts().lost < bench.fake.taken());
-      CHECK(sensor.status().reason.find("read it more often, or let it measure more slowly") != std::string::npos);
+      CHECK(sensor.status().reason.find("read it more often, or set a lower sample rate in the device") !=
+            std::string::npos);
       // A FIFO that is emptied cannot be used when it ran over. An ICM-20948 is opened again for so long that the next
       // tick comes before its small one is full.
       if (model.kind != ChipKind::icm20948) CHECK(bench.numbers.empty() == is_emptied(model));
@@ -775,6 +776,6 @@ TEST_SUITE("sensors") {
     CHECK(problems(R"("type": "accelerometer", "model": "adxl375", "acceleration_range": 16)")
               .find("16 is not one of 200") != std::string::npos);
     CHECK(problems(R"("type": "accelerometer", "model": "adxl375", "self_test": true)")
-              .find("there are no limits for that of the ADXL375") != std::string::npos);
+              .find("no limits are known for the self-test of the ADXL375") != std::string::npos);
   }
 }

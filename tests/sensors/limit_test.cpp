@@ -221,7 +221,7 @@ TEST_CASE("limits: settings that cannot work are refused, each with its reason")
   CHECK(why({.high = std::numeric_limits<double>::infinity()}) == "`high` is not finite");
   CHECK(why({.high = 1, .hysteresis = -1}) == "`hysteresis` must be 0 or more");
   CHECK(why({.low = 0, .high = 1, .hysteresis = 1}) ==
-        "`hysteresis` is as large as the distance of the limits: the value could never be normal again");
+        "`hysteresis` is as large as the distance between the limits: the value could never become normal again");
   CHECK(why({.high = 1, .delay = Duration{-1}}) == "`delay` is negative");
   CHECK(why({.high = 1, .hysteresis = 100, .latched = true}).empty());
 }

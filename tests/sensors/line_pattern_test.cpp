@@ -36,12 +36,12 @@ TEST_SUITE("sensors") {
                       .pattern = R"(T:\s*(?<temp>[-+0-9.]+) ?C.*\[(?<state>\w*)\](?: load=(?<load>[0-9]+))?)"};
     CHECK(values_of_line(config, "12:00 T: -12.5C ok [RUN] load=12530") == "-12.5 RUN 12.53");
     CHECK(values_of_line(config, "T:7 C[]") == "7  absent");
-    CHECK(has(values_of_line(config, "T: 12.5F [RUN]"), "`pattern` is not found"));
+    CHECK(has(values_of_line(config, "T: 12.5F [RUN]"), "`pattern` does not match"));
     CHECK(has(values_of_line(config, "T: 1.2.3C [RUN]"), "\"1.2.3\" is not a number"));
     CHECK(values_of_line(config, std::string("T: 1C\0[x]", 10)) == "1 x absent");
     // A group that took no part, of a field that is always there.
     config.fields[2].optional = false;
-    CHECK(has(values_of_line(config, "T:7 C[]"), "its group is in no part"));
+    CHECK(has(values_of_line(config, "T:7 C[]"), "but without this group"));
     // Signs between values without another separator, as of SDI-12; each branch may have the group.
     const LineConfig signs{.format = LineFormat::pattern,
                            .fields = {{.name = "a"}, {.name = "b"}},
@@ -66,7 +66,7 @@ TEST_SUITE("sensors") {
     LineConfig config{.format = LineFormat::pattern, .fields = {{.name = "v"}}, .pattern = "v=(?<v>"};
     CHECK(has(refusal_of_pattern(config), "pattern: at character 7: missing closing parenthesis"));
     config.pattern = "v=(?<w>.*)";
-    CHECK(has(refusal_of_pattern(config), "no field is named \"w\""));
+    CHECK(has(refusal_of_pattern(config), "`pattern` has a group \"w\""));
     config.pattern = "v=(.*)";
     CHECK(has(refusal_of_pattern(config), "`pattern` has no group of this name"));
     config.pattern = "";

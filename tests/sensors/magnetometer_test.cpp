@@ -227,7 +227,7 @@ TEST_SUITE("sensors") {
         const std::size_t before = bench.readings.size();
         bench.loop.advance(5s);
         CHECK(bench.readings.size() <= before + 1);
-        CHECK(bench.told("it has given no sample since"));
+        CHECK(bench.told("it has given no sample for"));
         CHECK(compass.counts().failed >= 5);
         bench.fake.is_measuring = true;
         bench.loop.advance(3s);
@@ -240,7 +240,7 @@ TEST_SUITE("sensors") {
       const std::size_t before = bench.readings.size();
       bench.loop.advance(1s);
       CHECK(bench.readings.size() <= before + 1);
-      CHECK(bench.told("the field is beyond the range of"));
+      CHECK(bench.told("the field is outside the range of"));
       bench.chip.set(bench.fake.model.chip.identity->number, {0x12});
       compass.stop();
       compass.start();

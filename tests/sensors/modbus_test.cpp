@@ -436,7 +436,7 @@ TEST_SUITE("sensors") {
     const Error address = device.read_registers(ModbusTable::holding, 199, words).error();
     CHECK(address.code == Errc::bad_argument);
     CHECK(has(address.text(), "bus plc, unit 7: it answers with exception 2, illegal data address"));
-    CHECK(has(address.advice, "documents that count from 1, or from 40001, mean one less"));
+    CHECK(has(address.advice, "if the manual counts from 1 or from 40001, it is one less than there"));
     device.read_registers(ModbusTable::holding, 0, words).or_throw();  // over the same connection
     std::array<std::uint16_t, 126> many{};
     CHECK(device.read_registers(ModbusTable::holding, 0, many).error().code == Errc::bad_argument);
@@ -549,7 +549,8 @@ TEST_SUITE("sensors") {
     DriverSensor<Modbus> other(stage.loop, common("other"), bus, {.unit = 126}, config);
     stage.until([&] { return other.counts().unreadable > 0; });
     CHECK(other.counts().published == 0);
-    CHECK(stage.has_error("field v: its scale factor is 11, and those of SunSpec are -10 to 10: check `scale_from`"));
+    CHECK(stage.has_error(
+        "field v: its scale factor is 11, but scale factors of SunSpec are -10 to 10: check `scale_from`"));
   }
 
   TEST_CASE("US-42 Modbus: no request asks for more registers than the device gives, and none ends within a field") {
@@ -576,7 +577,7 @@ TEST_SUITE("sensors") {
     CHECK(stage.values[0] == expected);
     CHECK(server.most_asked() == 8);
     config.most_registers = 1;
-    CHECK(Modbus::describe(config).error().text().find("it has 2 registers, and a request may have 1") !=
+    CHECK(Modbus::describe(config).error().text().find("it has 2 registers, but a request may have only 1") !=
           std::string::npos);
     config.most_registers = 126;
     CHECK_FALSE(Modbus::describe(config));
@@ -595,8 +596,9 @@ TEST_SUITE("sensors") {
     stage.until([&] { return stage.values.size() > 3; });
     CHECK(stage.values[0] == "meter: 1005 1003.5 true");
     server->set_silent(true);
-    stage.until(
-        [&] { return stage.has_error("bus plc, unit 1: no answer in 20 ms") && meter.health() == Health::faulted; });
+    stage.until([&] {
+      return stage.has_error("bus plc, unit 1: no answer within 20 ms") && meter.health() == Health::faulted;
+    });
     server->set_silent(false);
     std::size_t before = stage.values.size();
     stage.until([&] { return stage.values.size() > before + 3 && meter.health() == Health::ok; });
@@ -664,11 +666,11 @@ TEST_SUITE("sensors") {
     stage.until([&] { return one.counts().unreadable > 0; });
     CHECK(stage.has_error("bus server, unit 1: the checksum of its answer is wrong"));
     server->set(Carrier::Fault::half);
-    stage.until([&] { return stage.has_error("unit 247: its answer was not complete in 60 ms"); });
+    stage.until([&] { return stage.has_error("unit 247: its answer was not complete within 60 ms"); });
     CHECK(server->connections() == 1);
     server->set(Carrier::Fault::silent);
     stage.until([&] { return server->connections() > 1; });  // after three requests in a row
-    CHECK(stage.has_error("no answer in 60 ms"));
+    CHECK(stage.has_error("no answer within 60 ms"));
     server->set(Carrier::Fault::none);
     are_back();
 
@@ -715,11 +717,11 @@ TEST_SUITE("sensors") {
     const std::string rtu = R"("device": "/dev/ttyUSB0")";
     CHECK(report(tcp + R"(, "rtu_over_tcp": true, "echo": true)", field).empty());
     CHECK(report(rtu + R"(, "echo": true, "hangup": true, "dtr": false, "rs485": "rts_high")", field).empty());
-    CHECK(has(report(rtu + R"(, "rtu_over_tcp": true)", field), "a serial line always has RTU"));
+    CHECK(has(report(rtu + R"(, "rtu_over_tcp": true)", field), "a serial line always uses RTU"));
     CHECK(has(report(tcp + R"(, "echo": true)", field), "Modbus TCP has no echo"));
     CHECK(has(report(rtu + R"(, "rts": true, "rs485": "rts_low")", field), "with `rs485` the kernel sets RTS"));
     for (const char* line : {R"("dtr": true)", R"("rts": false)", R"("hangup": true)", R"("rs485": "rts_low")"})
-      CHECK_MESSAGE(has(report(tcp + ", " + line, field), "only a serial line (`device`) has it"), line);
+      CHECK_MESSAGE(has(report(tcp + ", " + line, field), "it works only with a serial line (`device`)"), line);
     const auto none = [&](const std::string& kind, const std::string& number) {
       return report(
           tcp, R"("fields": [{"name": "x", "address": 0, "type": ")" + kind + R"(", "no_value": [)" + number + "]}]");
@@ -728,7 +730,7 @@ TEST_SUITE("sensors") {
     for (const Said& said :
          {Said{"uint16", "65536"}, Said{"uint16", "-32769"}, Said{"int16", "65536"}, Said{"int16", "0.5"},
           Said{"int32", "4294967296"}, Said{"int64", "-1e19"}, Said{"uint64", "2e19"}, Said{"float", "1e39"}})
-      CHECK(has(none(said.first, said.second), "never hold its `no_value`"));
+      CHECK(has(none(said.first, said.second), "can never contain its `no_value`"));
     for (const Said& said : {Said{"uint16", "65535"}, Said{"uint16", "-1"}, Said{"int16", "32768"},
                              Said{"int32", "4294967295"}, Said{"int64", "-1"}, Said{"uint64", "1.8446744073709552e19"},
                              Said{"float", "-9999.9"}, Said{"double", "1e39"}})
@@ -737,18 +739,18 @@ TEST_SUITE("sensors") {
       return report(tcp, R"("fields": [{"name": "x", "address": 0, )" + members + "}]");
     };
     for (const Said& said :
-         {Said{R"("type": "text")", "a text needs its `registers`"},
+         {Said{R"("type": "text")", "a text needs `registers`"},
           Said{R"("type": "text", "registers": 126)", "registers"},
-          Said{R"("type": "text", "registers": 8, "scale": 2)", "a text is no number"},
-          Said{R"("type": "text", "registers": 8, "no_value": [0])", "a text is no number"},
-          Said{R"("registers": 2)", "only a text has `registers`"}, Said{R"("bit": 16)", "a uint16 has no bit 16"},
+          Said{R"("type": "text", "registers": 8, "scale": 2)", "a text is not a number"},
+          Said{R"("type": "text", "registers": 8, "no_value": [0])", "a text is not a number"},
+          Said{R"("registers": 2)", "only a text can have `registers`"}, Said{R"("bit": 16)", "a uint16 has no bit 16"},
           Said{R"("bit": 64)", "bit"}, Said{R"("type": "float", "bit": 1)", "a float has no bit 1"},
-          Said{R"("bit": 1, "scale": 2)", "a single bit is no number"},
-          Said{R"("bit": 1, "mask": 2)", "a single bit is no number"},
+          Said{R"("bit": 1, "scale": 2)", "a single bit is not a number"},
+          Said{R"("bit": 1, "mask": 2)", "a single bit is not a number"},
           Said{R"("mask": 65536)", "has none of the bits of its `mask`, or not all"}, Said{R"("mask": 0)", "mask"},
-          Said{R"("type": "int16", "mask": 1)", "a `mask` is for numbers without a sign"},
+          Said{R"("type": "int16", "mask": 1)", "`mask` works only for numbers without a sign"},
           Said{R"("scale_from": 65536)", "scale_from"}, Said{R"("word_order": "acbd")", "word_order"},
-          Said{R"("no_value": [1, 65536])", "never hold its `no_value`"}})
+          Said{R"("no_value": [1, 65536])", "never contain its `no_value`"}})
       CHECK_MESSAGE(has(one(said.first), said.second), said.first);
     for (const char* good : {R"("type": "text", "registers": 125)", R"("type": "uint64", "bit": 63)",
                              R"("mask": 65280, "scale": 0.1)", R"("scale_from": 65535, "scale": 0.1)",
@@ -757,8 +759,8 @@ TEST_SUITE("sensors") {
     CHECK(has(report(tcp, field + R"(, "most_registers": 0)"), "most_registers"));
     CHECK(has(report(tcp, field + R"(, "most_registers": 126)"), "most_registers"));
     CHECK(has(report(tcp, R"("most_registers": 3, "fields": [{"name": "x", "address": 0, "type": "double"}])"),
-              "it has 4 registers, and a request may have 3"));
-    CHECK(has(report(tcp, R"("fields": [])"), "there are none"));
+              "it has 4 registers, but a request may have only 3"));
+    CHECK(has(report(tcp, R"("fields": [])"), "there are no fields"));
     CHECK(has(report(tcp, R"("fields": [{"name": "x", "address": 65535, "type": "float"}])"), "beyond address 65535"));
     CHECK(has(report(tcp, R"("fields": [{"name": "x", "address": 0}, {"name": "x", "address": 1}])"), "x"));
     CHECK_THROWS_AS(ModbusBus("b", {}), SetupError);
@@ -791,7 +793,7 @@ TEST_CASE("US-42 Modbus RTU: units on one line share it; broken, half and missin
   CHECK(std::count(stage.values.begin(), stage.values.end(), "one: -1 absent 1022") > 3);
   CHECK(std::count(stage.values.begin(), stage.values.end(),
                    "three: " + std::to_string(2002u << 16 | 2003u) + " true") > 3);
-  CHECK(stage.has_error("bus rs485, unit 9: no answer in 50 ms: check the device, its wires, `unit`"));
+  CHECK(stage.has_error("bus rs485, unit 9: no answer within 50 ms: check the device, its wires, `unit`"));
   CHECK(bus.counts(1).transfers > 3);
   CHECK(bus.counts(9).transfers == bus.counts(9).failed);
   nobody.close();
@@ -850,11 +852,11 @@ TEST_CASE("US-42 Modbus RTU: an adapter's echo is dropped, and told where it dif
   line.set(Carrier::Fault::none);
 
   line.set(Carrier::Echo::wrong);
-  stage.until([&] { return stage.has_error("bus rs485: what came back is not what was sent"); });
+  stage.until([&] { return stage.has_error("bus rs485: the returned bytes differ from the sent bytes"); });
   CHECK(meter.counts().unreadable > 0);
   line.set(Carrier::Fault::silent);
   line.set(Carrier::Echo::none);
-  stage.until([&] { return stage.has_error("bus rs485: what was sent did not come back in 50 ms"); });
+  stage.until([&] { return stage.has_error("bus rs485: the sent bytes did not come back within 50 ms"); });
   line.set(Carrier::Fault::none);
   line.set(Carrier::Echo::right);
   const std::uint64_t published = meter.counts().published;

@@ -462,7 +462,7 @@ TEST_SUITE("sensors") {
     };
     const auto has = [](const std::string& text, const char* part) { return text.find(part) != std::string::npos; };
     CHECK(why({.topics = {"a/#"}, .start = false}).empty());
-    CHECK(has(why({.topics = {}}), "there is none"));
+    CHECK(has(why({.topics = {}}), "there are no topics"));
     for (const char* bad : {"", "a/#/b", "a#", "a+/b", "$share", "$share/g", "$share//a", "$share/g/", "$share/+/a"})
       CHECK_MESSAGE(!why({.topics = {bad}, .start = false}).empty(), bad);
     CHECK(has(why({.broker = {.host = "mqtt://x"}, .topics = {"a"}}), "URL"));

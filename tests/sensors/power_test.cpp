@@ -67,7 +67,7 @@ TEST_SUITE("sensors") {
     CHECK(all[0].power == doctest::Approx(288));
     flags = 0x8002;
     bench.loop.advance(100ms);
-    CHECK(sensor.status().reason.find("the checksum of its trimming is wrong") != std::string::npos);
+    CHECK(sensor.status().reason.find("the checksum of its trimming values is wrong") != std::string::npos);
     flags = 0x8003;
     chip.set_word(0x01, 0xfb68);  // as after a reset
     bench.loop.advance(100ms);
@@ -138,7 +138,8 @@ TEST_SUITE("sensors") {
     CHECK_FALSE(all[1].current_3);
     CHECK_FALSE(all[1].power_3);
     CHECK(rails.counts().unreadable == 1);
-    CHECK(rails.status().reason.find("channel 3: the current is beyond what it can measure") != std::string::npos);
+    CHECK(rails.status().reason.find("channel 3: the current is larger than the chip can measure") !=
+          std::string::npos);
     chip.set_word(1, 0x8000);
     chip.set_word(4, 0x7ff8);
     bench.loop.advance(100ms);

@@ -84,7 +84,7 @@ TEST_CASE("FW-2 the kernel's text of a pulse is its time and number") {
   CHECK(parse_pps("1700000000.123456789#42\n").or_throw() ==
         detail::PpsStamp{from_nanoseconds(1'700'000'000'123'456'789), 42});
   CHECK(parse_pps("1.000000000#-1").or_throw().count == 4294967295u);
-  CHECK(parse_pps("").error().why == "its driver does not see this edge");
+  CHECK(parse_pps("").error().why == "its driver does not report this edge");
   for (const char* bad : {"x", "1#2", "1.5#2", "1.123456789", "1.123456789#", "1.12345678x#2", "-1.123456789#2",
                           "1.-12345678#2", "9000000001.000000000#1", "1.123456789#4294967296"}) {
     CAPTURE(bad);

@@ -146,23 +146,23 @@ TEST_SUITE("sensors") {
     CHECK(problems(R"("type": "accelerometer", "bus": "spi0", "chip_select": 1)") == "");
     CHECK(problems(R"("type": "barometer", "model": "ms5611", "bus": "spi0", "chip_select": 1, "mode": 0)") == "");
     CHECK(problems(R"("type": "magnetometer", "bus": "spi0", "chip_select": 1)") == "");
-    CHECK(has(problems(R"("type": "imu", "bus": "spi0", "chip_select": 0)"), "the MPU-6050 has no SPI"));
+    CHECK(has(problems(R"("type": "imu", "bus": "spi0", "chip_select": 0)"), "the MPU-6050 does not support SPI"));
     CHECK(has(problems(R"("type": "magnetometer", "model": "hmc5883l", "bus": "spi0", "chip_select": 0)"),
-              "the HMC5883L has no SPI"));
-    CHECK(has(problems(R"("type": "barometer", "bus": "spi0")"), "on SPI, give the chip's `chip_select`"));
+              "the HMC5883L does not support SPI"));
+    CHECK(has(problems(R"("type": "barometer", "bus": "spi0")"), "on SPI, set the chip's `chip_select`"));
     CHECK(has(problems(R"("type": "barometer", "bus": "i2c1", "chip_select": 0)"),
-              "on I2C, give the chip's `address` and no `chip_select`"));
+              "on I2C, set the chip's `address`, and remove `chip_select`"));
     CHECK(has(problems(R"("type": "barometer", "bus": "spi0", "chip_select": 0, "address": "0x76")"),
               "a chip on SPI has a `chip_select` and no `address`"));
-    CHECK(has(problems(R"("type": "barometer", "bus": "i2c1", "clock": 100000)"), "this is for SPI"));
+    CHECK(has(problems(R"("type": "barometer", "bus": "i2c1", "clock": 100000)"), "this works only on SPI"));
 
     auto wires = std::make_shared<FakeSpi>();
     SpiBus spi("spi0", wires);
     Loop loop{Loop::Manual{}};
     be_quiet(loop);
     CHECK_THROWS_WITH_AS(DriverSensor<Barometer>(loop, {.name = "a", .rate = 1_Hz}, spi),
-                         doctest::Contains("this bus is of type spi: on SPI, give the chip's"), SetupError);
+                         doctest::Contains("this bus is of type spi: on SPI, set the chip's"), SetupError);
     CHECK_THROWS_WITH_AS(DriverSensor<Imu>(loop, {.name = "a", .rate = 1_Hz}, spi, {.chip_select = 0}),
-                         doctest::Contains("the MPU-6050 has no SPI"), SetupError);
+                         doctest::Contains("the MPU-6050 does not support SPI"), SetupError);
   }
 }

@@ -177,7 +177,7 @@ TEST_CASE("US-17 a CSV line is read as RFC 4180 writes it") {
   CHECK(values(R"(" blanks " , "x")") == " blanks |x");
   CHECK(values(R"("""",b)") == "\"|b");
   CHECK(values(R"(6" pipe,b "quoted" b)") == "6\" pipe|b \"quoted\" b");
-  CHECK(values(R"("a,b)") == "its quote does not end");
+  CHECK(values(R"("a,b)") == "its quote is not closed");
   CHECK(values(R"("a"b,c)") == "\"b\" follows its quotes");
 }
 

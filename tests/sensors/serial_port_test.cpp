@@ -93,7 +93,7 @@ TEST_CASE("US-13 US-42 a serial port has the settings that it is given, 9600 8N1
     SerialPort second("second", line.config());
     const Error error = second.device().look_at().error();
     CHECK(error.code == Errc::busy);
-    CHECK(has(error.text(), "this program has it open already"));
+    CHECK(has(error.text(), "this program has already opened it"));
   }
   CHECK_FALSE(terminal_settings(line.pty.device()).is_exclusive);
   SerialPort fast(SerialPortConfig{.device = line.pty.path(), .serial = {.baud_rate = 250000}});
@@ -136,7 +136,7 @@ TEST_CASE("US-13 US-42 no answer, half an answer and one without an end are erro
   line.pty.send("ab");
   const Error half = device.read(four, 20ms).error();
   CHECK(half.code == Errc::timed_out);
-  CHECK(has(half.text(), "2 of 4 bytes came in 20 ms"));
+  CHECK(has(half.text(), "2 of 4 bytes came within 20 ms"));
   device.drop_input().or_throw();
   line.pty.send(std::string(100, 'a'));
   CHECK(device.read_until('\n', 1s, 50).error().code == Errc::does_not_fit);
@@ -227,7 +227,7 @@ TEST_CASE("US-13 settings that a line cannot do are refused, and leave it free")
   CHECK(has(refused({.dtr = false}), "it has no line that `dtr` could set"));
   CHECK(has(refused({.rts = true}), "it has no line that `rts` could set"));
   CHECK(has(refused({.hangup = true}), "it has no lines that `hangup` could clear"));
-  CHECK(has(refused({.rs485 = Rs485::rts_low}), "its driver cannot switch an RS-485 line so: leave out `rs485`"));
+  CHECK(has(refused({.rs485 = Rs485::rts_low}), "its driver cannot switch an RS-485 line in this way: remove `rs485`"));
   const auto opened = detail::open_tty(line.pty.path(), {});
   REQUIRE(opened);
   detail::close_tty(*opened);
@@ -480,7 +480,7 @@ TEST_SUITE("sensors") {
     CHECK(bench.values.size() == 1);
     CHECK(meter.counts().failed == 3);
     REQUIRE_FALSE(bench.errors.empty());
-    CHECK(has(bench.errors[0], "bus meter: nothing came in 50 ms"));
+    CHECK(has(bench.errors[0], "bus meter: nothing came within 50 ms"));
     bench.wires->set_delay(0ms);
     bench.loop.advance(800ms);  // it is left still until the late answer 2 can no longer come
     CHECK(bench.values == std::vector<std::string>{"1", "3"});
@@ -512,7 +512,7 @@ TEST_SUITE("sensors") {
     CHECK(MhZ19::decode(answer(10000)).or_throw().co2 == 10000);
     const auto none = MhZ19::decode(answer(0));
     REQUIRE_FALSE(none);
-    CHECK(none.error().why == "it says 0 ppm, as while it warms up: no air has so little");
+    CHECK(none.error().why == "it reports 0 ppm, as it does while it warms up");
     CHECK(MhZ19::decode(answer(10001)).error().code == Errc::bad_data);
     for (std::size_t byte = 0; byte < 9; ++byte) {
       for (int bit = 0; bit < 8; ++bit) {
@@ -562,11 +562,11 @@ TEST_SUITE("sensors") {
                 R"(, {"name": "p", "type": "query", "rate": "1 Hz", "bus": "m", "fields": [{"name": "x"}], "request": "B\n"})")
             .empty());
     CHECK(has(report(bus, query("")), "there is no request"));
-    CHECK(has(report(bus, query(R"(, "request": "?", "request_hex": "00")")), "there is a `request` too"));
+    CHECK(has(report(bus, query(R"(, "request": "?", "request_hex": "00")")), "there is also a `request`"));
     CHECK(has(report(bus, query(R"(, "request_hex": "0")")), "these are not bytes"));
     CHECK(has(report(bus, query(R"(, "request_hex": "0g")")), "these are not bytes"));
-    CHECK(
-        has(report(bus, query(R"(, "request": "?", "separator": "1")")), "separator: numbers may have this character"));
+    CHECK(has(report(bus, query(R"(, "request": "?", "separator": "1")")),
+              "separator: numbers may contain this character"));
     CHECK(has(
         report(R"("m": {"type": "serial", "device": "/dev/x", "answer_timeout": "9 s"})", query(R"(, "request": "?")")),
         "make `timeout` longer"));
@@ -592,15 +592,16 @@ TEST_SUITE("sensors") {
     CHECK(has(report("", second(R"(, "baud_rate": 4800)")), "need the same `baud_rate` and so on, and the same tier"));
     const std::string ask = query(R"(, "request": "?")");
     CHECK(report(R"("m": {"type": "serial", "host": "scope.local", "port": 5025})", ask).empty());
-    CHECK(has(report(R"("m": {"type": "serial"})", ask), "there is none of `device`, `host` and `run`"));
+    CHECK(has(report(R"("m": {"type": "serial"})", ask), "one of `device`, `host` and `run` is needed"));
     CHECK(has(report(R"("m": {"type": "serial", "host": "a"})", ask), "there is no `port`"));
     CHECK(has(report(R"("m": {"type": "serial", "device": "/dev/x", "host": "a", "port": 1})", ask),
-              "there is more than one of `device`, `host` and `run`"));
-    CHECK(
-        has(report(R"("m": {"type": "serial", "host": "a", "port": 1, "dtr": true})", ask), "are of a serial device"));
+              "only one of `device`, `host` and `run` is possible"));
+    CHECK(has(report(R"("m": {"type": "serial", "host": "a", "port": 1, "dtr": true})", ask),
+              "work only with a serial `device`"));
     CHECK(has(report(R"("m": {"type": "serial", "host": "a", "port": 1, "baud_rate": 9600})", ask),
-              "buses.m.baud_rate: it is of a serial device, and there is none"));
-    CHECK(has(report(R"("m": {"type": "serial", "run": ["cat"], "parity": "even"})", ask), "of a serial device"));
+              "buses.m.baud_rate: it works only with a serial `device`"));
+    CHECK(has(report(R"("m": {"type": "serial", "run": ["cat"], "parity": "even"})", ask),
+              "it works only with a serial `device`"));
     const auto caller = [](const std::string& name, const std::string& from) {
       return R"({"name": ")" + name + R"(", "type": "tcp", "listen": "0.0.0.0", "port": 5000)" + from +
              R"(, "fields": [{"name": "v"}]})";
@@ -609,7 +610,8 @@ TEST_SUITE("sensors") {
     CHECK(report("", caller("a", two) + ", " + caller("b", three)).empty());
     CHECK(has(report("", caller("a", two) + ", " + caller("b", two)), "one sensor takes all of a device"));
     CHECK(has(report("", caller("a", two) + ", " + caller("b", "")), "set the `from` of each"));
-    CHECK(has(report("", caller("a", two + R"(, "connect_timeout": "1 s")")), "connect_timeout: the device connects"));
+    CHECK(has(report("", caller("a", two + R"(, "connect_timeout": "1 s")")),
+              "connect_timeout: with `listen`, the device makes the connection"));
     CHECK(has(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0"})"), "no field has a name"));
     CHECK(report("", R"({"name": "l", "type": "serial", "device": "/dev/ttyUSB0", "format": "nmea"})").empty());
   }

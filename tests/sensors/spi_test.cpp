@@ -173,7 +173,7 @@ TEST_SUITE("sensors") {
     bench.loop.advance(1s);
     CHECK(none.counts().published == 0);
     CHECK(none.counts().failed > 2);
-    CHECK(none.status().reason.find("nothing answers") != std::string::npos);
+    CHECK(none.status().reason.find("no chip answers") != std::string::npos);
     CHECK(none.health() == Health::faulted);
     CHECK(good.counts().missed + good.counts().failed + good.counts().late == 0);
     bench.wires->on_transfer(0, chip_of(AdcModel::mcp3208, {}));

@@ -96,7 +96,7 @@ TEST_SUITE("sensors") {
     }
     REQUIRE(bench.until([&] { return bench.errors.size() >= 2; }));
     CHECK(bench.errors[0] == "1 byte came without an end");
-    CHECK(bench.errors[1] == "the device has ended it");
+    CHECK(bench.errors[1] == "the device has closed it");
     CHECK(bench.sensor.health() == Health::faulted);
 
     const Caller before(port);
@@ -115,7 +115,7 @@ TEST_SUITE("sensors") {
       ++sent;
       return stranger.received() == "end";
     }));
-    CHECK(bench.errors.back() == "another device connects while one sends");
+    CHECK(bench.errors.back() == "another device connected while one is sending");
     REQUIRE(bench.until([&] { return bench.events.size() == sent - 1; }));
     bench.sensor.close();
     CHECK(bench.loop.runtime().balances());
@@ -137,7 +137,7 @@ TEST_SUITE("sensors") {
     REQUIRE(bench.until([&] { return bench.errors.back() == "no device has connected yet"; }));
     const Caller stranger(port);
     REQUIRE(bench.until([&] { return stranger.received() == "end"; }));
-    CHECK(bench.errors.back() == "it was not made by `from`");
+    CHECK(bench.errors.back() == "it did not come from the address `from`");
     const Caller meant(port, "127.0.0.2");
     meant.send("1\n");
     REQUIRE(bench.until([&] { return bench.events.size() == 1; }));
@@ -146,7 +146,7 @@ TEST_SUITE("sensors") {
       REQUIRE(bench.until([&] { return other_stranger.received() == "end"; }));
     }
     { const Caller look(port, "127.0.0.2"); }
-    REQUIRE(bench.until([&] { return bench.errors.back() == "it was ended at once"; }));
+    REQUIRE(bench.until([&] { return bench.errors.back() == "it was closed at once"; }));
     meant.send("1.5\n");
     REQUIRE(bench.until([&] { return bench.events.size() == 2; }));
     CHECK(meant.received().empty());
@@ -227,7 +227,7 @@ TEST_SUITE("sensors") {
     CHECK(has(server.received(), "go\n"));
     server.hang_up();
     REQUIRE(until([&] { return !errors.empty(); }));
-    CHECK(errors.front() == "the device has ended it");
+    CHECK(errors.front() == "the device has closed it");
     CHECK(sensor.health() == Health::faulted);
     REQUIRE(until([&] { return server.accept(); }));
     server.send("3\n");

@@ -80,8 +80,8 @@ TEST_SUITE("sensors") {
     CHECK(max31855(0x00010192).error().why == "the thermocouple is shorted to ground");
     CHECK(max31855(0x00010194).error().why == "the thermocouple is shorted to the supply");
     CHECK(max31855(0x00010190).error().why == "it reports an unknown fault");
-    CHECK(max31855(0xffffffff).error().why == "bits that are 0 are not: nothing answers");
-    CHECK(max31855(0x00000000).error().why == "it gives zeros only: nothing answers");
+    CHECK(max31855(0xffffffff).error().why == "bits that must be 0 are 1: no chip answers");
+    CHECK(max31855(0x00000000).error().why == "it gives only zeros: no chip answers");
   }
 
   TEST_CASE("US-11 US-27 a MAX31855: absent, open, shorted, failing transfers, and what it measures") {

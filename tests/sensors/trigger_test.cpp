@@ -182,7 +182,7 @@ TEST_CASE("US-17 a ring that is too small says so once, and how far back it goes
   CHECK(bench.errors.empty());
   bench.run(30);
   REQUIRE(bench.errors.size() == 1);
-  CHECK(bench.errors[0] == "the ring is full with 20 events, of 2 s and not of 10 s");
+  CHECK(bench.errors[0] == "the ring is full with 20 events: they reach back 2 s, not 10 s");
   CHECK(bench.trigger.health() == Health::degraded);
   bench.press(true);
   CHECK(bench.values == numbers(31, 50));
@@ -284,12 +284,12 @@ TEST_CASE("US-17 check finds the mistakes of a trigger, with their columns") {
   CHECK(is_refused(R"("on": "laod", "when": "1")", "did you mean \"load\"?"));
   CHECK(is_refused(R"("on": "load", "when": "minute_1 > 1")", "f.json:2"));
   CHECK(is_refused(R"("on": "load", "when": "minutes_1 >")", "f.json:2"));
-  CHECK(is_refused(R"("on": "load", "with": ["load"], "when": "minutes_1 > 1")", "is there twice"));
+  CHECK(is_refused(R"("on": "load", "with": ["load"], "when": "minutes_1 > 1")", "is listed twice"));
   CHECK(is_refused(R"("on": "load", "when": "minutes_1 > 1", "before": "2 d")", "before"));
   CHECK(is_refused(R"("on": "load", "when": "minutes_1 > 1", "events": 0)", "events"));
   CHECK(is_refused(
       R"("on": "load", "when": "minutes_1 > 1", "process": {"minutes_1": {"filters": [{"type": "throttle", "time": "1 s"}]}})",
-      "give `process` to the sensor"));
+      "set `process` of the sensor"));
   CHECK(is_refused(R"("on": "kept", "when": "1")", "kept"));
 
   // Its topic carries what that of `on` does: also what looks at it is checked.

@@ -68,7 +68,7 @@ TEST_CASE("vertical: a unit that is none of a height is told, and no event is ma
   hot.publish(Hot{20}, loop.time());
   loop.poll();
   REQUIRE(errors.size() == 1);
-  CHECK(errors[0] == "`value` of the topic \"hot\" is in Cel; it takes m, Pa, hPa, kPa, mbar and bar");
+  CHECK(errors[0] == "`value` of the topic \"hot\" is in Cel; use m, Pa, hPa, kPa, mbar or bar");
   CHECK(events == 0);
   CHECK_THROWS_AS(VerticalSensor(loop, {.name = "none"}, {}), SetupError);
 }

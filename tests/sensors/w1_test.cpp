@@ -97,10 +97,10 @@ TEST_CASE("FW-2 without a name there has to be one thermometer; a name is no pat
   directory.file("sys/bus/w1/devices/w1_bus_master1/name", "w1_bus_master1\n");
   CHECK(refusal({}).empty());
   directory.file("sys/bus/w1/devices/10-000000000002/w1_slave", good);
-  CHECK(refusal({}) == "there are 10-000000000002, 28-000000000001");
+  CHECK(refusal({}) == "available: 10-000000000002, 28-000000000001");
   CHECK(refusal({.device = "28-000000000001"}).empty());
   CHECK(refusal({.device = "28-1"}) == "No such file or directory");
-  CHECK(refusal({.device = "/sys/x"}).find("no path") != std::string::npos);
+  CHECK(refusal({.device = "/sys/x"}).find("not a path") != std::string::npos);
 }
 
 TEST_CASE("FW-2 a conversion of 750 ms holds no loop, and is one read at a time") {

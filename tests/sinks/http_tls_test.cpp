@@ -117,8 +117,8 @@ TEST_CASE("US-32 HTTPS: the server's certificate is checked, and what is wrong w
   } cases[] = {{"right", true, ""},
                {"right", false, "tls.ca_file"},
                {"self", true, "tls.ca_file"},
-               {"expired", true, "have it renewed"},
-               {"other", true, "for another name"}};
+               {"expired", true, "renew the server's certificate"},
+               {"other", true, "use the name of the server's certificate"}};
   for (const auto& one : cases) {
     CAPTURE(one.certificate);
     CAPTURE(one.knows_authority);

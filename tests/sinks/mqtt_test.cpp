@@ -501,10 +501,11 @@ TEST_SUITE("sinks") {
       const char* certificate;
       bool knows_authority;
       const char *why, *advice;
-    } cases[] = {{"expired", true, "certificate has expired", "have it renewed"},
-                 {"self", true, "self-signed certificate", "the server's certificate is self-signed"},
-                 {"right", false, "unable to get local issuer certificate", "does not trust the authority that signed"},
-                 {"other", true, "hostname mismatch", "for another name: use that name in `host`"}};
+    } cases[] = {
+        {"expired", true, "certificate has expired", "renew the server's certificate"},
+        {"self", true, "self-signed certificate", "the server's self-signed certificate"},
+        {"right", false, "unable to get local issuer certificate", "the certificate of the authority that signed"},
+        {"other", true, "hostname mismatch", "use the name of the server's certificate in `host`"}};
     for (const auto& one : cases) {
       CAPTURE(one.certificate);
       const auto files = certificates.of(one.certificate);
@@ -538,8 +539,8 @@ TEST_SUITE("sinks") {
       bench.publish(3);
       CHECK(bench.wait_for([&] { return sink.health() == Health::faulted && !bench.errors.empty(); }));
       REQUIRE_FALSE(bench.errors.empty());
-      CHECK_MESSAGE(bench.has_error(is_encrypted ? "if this port is one of TLS, set `tls`"
-                                                 : "does the broker speak TLS at this port?"),
+      CHECK_MESSAGE(bench.has_error(is_encrypted ? "if the broker speaks TLS at this port, set `tls`"
+                                                 : "check that the broker speaks TLS at this port"),
                     bench.errors.front());
       CHECK(sink.counts().queued == 3);
     }

@@ -122,8 +122,8 @@ TEST_CASE("US-32 tcp with TLS: the server's certificate is checked, and what is 
   } cases[] = {{"right", true, ""},
                {"right", false, "tls.ca_file"},
                {"self", true, "tls.ca_file"},
-               {"expired", true, "have it renewed"},
-               {"other", true, "for another name"}};
+               {"expired", true, "renew the server's certificate"},
+               {"other", true, "use the name of the server's certificate"}};
   for (const auto& one : cases) {
     CAPTURE(one.certificate);
     CAPTURE(one.knows_authority);
@@ -252,9 +252,9 @@ TEST_CASE(
     };
     CHECK(bench.wait_for([&] { return serve(), connections >= 3; }, 10ms));
     CHECK(bench.wait_for([&] { return sink.health() == Health::faulted; }, 10ms));
-    CHECK(bench.has_error(kind == "closes"    ? "in the handshake"
-                          : kind == "garbage" ? "does the server speak TLS at this port?"
-                                              : "the handshake of TLS took longer than 5 s"));
+    CHECK(bench.has_error(kind == "closes"    ? "during the TLS handshake"
+                          : kind == "garbage" ? "check that the server speaks TLS at this port"
+                                              : "the TLS handshake took longer than 5 s"));
     CHECK(sink.counts().queued == 20);
     CHECK(sink.counts().stored == 0);
     const MonotonicTime begin = bench.loop.now();

@@ -5,9 +5,9 @@
 ///                                                       {.model = AccelerometerModel::adxl375, .sample_rate = 800});
 ///
 /// The chip measures by itself at `sample_rate` and keeps up to 32 samples in a FIFO, which each tick of the sensor
-/// empties. Times, losses, settings that are lost: inertial.hpp. Both ADXL have the same identity, so the driver cannot
-/// tell which one it is; a wrong `model` gives wrong values. An LIS3DH measures in its mode of high resolution, 12
-/// bits; the first seven samples after it is switched on, in which it settles, are left out.
+/// empties. Times, losses, lost settings: inertial.hpp. Both ADXL have the same identity, so the driver cannot tell
+/// which one it is; a wrong `model` gives wrong values. An LIS3DH measures in its mode of high resolution, 12 bits; its
+/// first seven samples after power-on, while it settles, are discarded.
 ///
 /// Sources: Analog Devices ADXL345, data sheet rev. E: table 1 scale and self-test, "FIFO", register map (table 19);
 /// ADXL375, rev. B: table 1 scale, register map. STMicroelectronics LIS3DH, DocID17530 rev. 2: table 4 scale, "high
@@ -141,15 +141,16 @@ struct AccelerometerConfig {
         parameter("model", &AccelerometerConfig::model, "which chip it is",
                   choices(value("adxl345", AccelerometerModel::adxl345), value("adxl375", AccelerometerModel::adxl375),
                           value("lis3dh", AccelerometerModel::lis3dh))),
+        parameter("sample_rate", &AccelerometerConfig::sample_rate,
+                  "samples per second that the chip takes: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; LIS3DH: 10, "
+                  "25, 50, 100, 200, 400 or 1344; `rate` is how often the program fetches them; default: 100",
+                  unit("Hz"), range(6.25, 1600.0)),
         parameter(
-            "sample_rate", &AccelerometerConfig::sample_rate,
-            "samples a second of the chip: 6.25, 12.5, 25, 50, 100, 200, 400, 800 or 1600; LIS3DH: 10, 25, 50, 100, "
-            "200, 400 or 1344; `rate` says how often they are fetched; default: 100",
-            unit("Hz"), range(6.25, 1600.0)),
-        parameter("acceleration_range", &AccelerometerConfig::acceleration_range,
-                  "in 9.80665 m/s2. ADXL345, LIS3DH: 2, 4, 8 or 16; ADXL375: 200; default: the widest", range(2, 200)),
+            "acceleration_range", &AccelerometerConfig::acceleration_range,
+            "measuring range in g (9.80665 m/s2). ADXL345, LIS3DH: 2, 4, 8 or 16; ADXL375: 200; default: the largest",
+            range(2, 200)),
         parameter("self_test", &AccelerometerConfig::self_test,
-                  "tests the chip at each start, in which it must lie still", only_with("model", "adxl345")),
+                  "tests the chip at each start; it must lie still during the test", only_with("model", "adxl345")),
         identity_parameter(&AccelerometerConfig::identity));
   }
   static std::span<const InertialModel> models() noexcept { return accelerometer_models::all; }
@@ -167,16 +168,18 @@ class Accelerometer : public InertialDriver<AccelerometerConfig, AccelerometerRe
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL; CS on 3.3 V for I2C. Address: 0x53, with SDO (ALT ADDRESS) high 0x1d; LIS3DH:
   0x18, with SDO (SA0) high 0x19.
-  On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of `address`; to 1.6 MHz, at which the FIFO has the time
-  between two readings that it needs.
-- The chip takes `sample_rate` samples a second by itself and keeps up to 32 in its FIFO; `rate` says how often it is
-  emptied. Each sample is an event. At 800 samples a second it is full after 40 ms: `"rate": "50 Hz"` or more.
-- What does not fit is counted as `lost`, by the time and the chip's rate, within one each time.
-- Times are right within a period: the chip's clock is not read, its rate is learned.
+On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of `address`; to 1.6 MHz, because the FIFO needs some
+  time between two readings.
+- The chip takes `sample_rate` samples a second by itself and keeps up to 32 in its FIFO; `rate` is how often the
+  program empties it. Each sample is an event. At 800 samples a second it is full after 40 ms: `"rate": "50 Hz"` or
+  more.
+- Samples that do not fit are counted as `lost`, from the time and the chip's rate, with an error of at most one each
+  time.
+- Times are accurate to one period: the chip's clock is not read; the program learns its rate.
 - An ADXL345 and an ADXL375 have one identity: a wrong `model` is not noticed, and its values are wrong by a factor of
-  12.5. So have an LIS3DH and an LIS2DH12, whose values differ little.
-- `"self_test": true` (ADXL345) takes 0.35 s at each start, in which the chip must lie still, and so needs a `timeout`
-  of the bus above that.
+  12.5. An LIS3DH and an LIS2DH12 also have one identity, but their values differ little.
+- `"self_test": true` (ADXL345) takes 0.35 s at each start; the chip must lie still meanwhile, and the `timeout` of the
+  bus must be longer.
 - A read on a bus of 400 kHz takes 0.25 ms a sample.
 )";
   static constexpr RegisterPlace place{0x53};

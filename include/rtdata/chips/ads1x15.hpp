@@ -57,13 +57,14 @@ class Ads1x15 {
       description = "voltages by an ADS1015 or ADS1115 on I2C, with a range for each channel";
   static constexpr std::string_view notes = R"(
 - Address by the pin ADDR: to GND 0x48, VDD 0x49, SDA 0x4a, SCL 0x4b.
-- `input` is one of 0, 1, 2, 3 (against ground) and 0-1, 0-3, 1-3, 2-3 (the first less the second).
-- `range` is 6.144, 4.096, 2.048, 1.024, 0.512 or 0.256 V to both sides. No input may go above the supply, whatever the
-  range is. A channel at an end of its range has no value, and is counted as unreadable.
+- `input` is one of 0, 1, 2, 3 (against ground) and 0-1, 0-3, 1-3, 2-3 (the first minus the second).
+- `range` is 6.144, 4.096, 2.048, 1.024, 0.512 or 0.256 V, plus or minus. No input may be above the supply voltage,
+  whatever the range is. A channel at an end of its range has no value, and is counted as unreadable.
 - Each channel is a field (`ain0`, `ain0_ain1` unless it has a `name`).
-- The channels are converted one after the other: all take `channels` / `data_rate`, and a tenth more.
+- The channels are converted one after the other: all together take the number of channels divided by `data_rate`, plus
+  10 %.
 - `data_rate`: ADS1115 8, 16, 32, 64, 128, 250, 475 or 860 a second; ADS1015 128, 250, 490, 920, 1600, 2400 or 3300.
-- The chip has no identity: another one at its address is told because it does not keep these settings.
+- The chip has no identity: another chip at its address is detected because it does not keep these settings.
 )";
 
   struct Channel {
@@ -72,10 +73,11 @@ class Ads1x15 {
     double range = 4.096;     ///< V, positive and negative
     friend constexpr auto parameters(type_tag<Channel>) {
       return parameter_list(
-          parameter("name", &Channel::name, "of its field; default: by the input, such as ain0", TextIs::field),
-          parameter("input", &Channel::input, "against ground, or the first less the second",
+          parameter("name", &Channel::name, "name of the field; default: from the input, such as ain0", TextIs::field),
+          parameter("input", &Channel::input, "one input against ground, or the first input minus the second",
                     choices("0", "1", "2", "3", "0-1", "0-3", "1-3", "2-3")),
-          parameter("range", &Channel::range, "to both sides: 6.144, 4.096, 2.048, 1.024, 0.512 or 0.256", unit("V")));
+          parameter("range", &Channel::range,
+                    "measuring range, plus or minus: 6.144, 4.096, 2.048, 1.024, 0.512 or 0.256", unit("V")));
     }
   };
   struct Config {
@@ -86,9 +88,11 @@ class Ads1x15 {
       return parameter_list(
           parameter("model", &Config::model, "which chip it is",
                     choices(value("ads1015", Ads1x15Model::ads1015), value("ads1115", Ads1x15Model::ads1115))),
-          parameter("channels", &Config::channels, "what to convert, in this order; none: each input against ground"),
+          parameter("channels", &Config::channels,
+                    "inputs to convert, in this order; empty: each input against ground"),
           parameter("data_rate", &Config::data_rate,
-                    "conversions a second: slower ones have less noise; 8 to 860, ADS1015 128 to 3300", unit("Hz")));
+                    "conversions per second; fewer give less noise. ADS1115: 8 to 860; ADS1015: 128 to 3300",
+                    unit("Hz")));
     }
   };
   using Value = OptionalVoltages;
@@ -197,9 +201,10 @@ class Ads1x15 {
     const int code = static_cast<std::int16_t>(word);
     const int step = of(model).step;
     if (code % step != 0)
-      return Error{Errc::bad_data, what, "", "it gives more than the 12 bits of an ADS1015", "set `model` to ads1115"};
+      return Error{Errc::bad_data, what, "", "its values have more than the 12 bits of an ADS1015",
+                   "set `model` to ads1115"};
     if (code >= 32768 - step || code == -32768)
-      return Error{Errc::out_of_range, what, "", "it is at the end of its range", "choose a larger `range`"};
+      return Error{Errc::out_of_range, what, "", "the voltage is at the end of its range", "choose a larger `range`"};
     return code * range / 32768;
   }
 

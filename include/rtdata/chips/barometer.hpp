@@ -5,8 +5,8 @@
 ///                                                 {.model = BarometerModel::bmp280, .pressure_oversampling = 16});
 ///
 /// Each tick starts one measurement and reads it when the chip has had its time (7 ms, with 16-fold oversampling of
-/// both 76 ms; a BMP581: 5 and 17 ms). The bus is free for others meanwhile; the event has the time of the start. An
-/// MS5611 measures its temperature after the pressure, for which it holds the bus (0.6 to 9 ms, as
+/// both 76 ms; a BMP581: 5 and 17 ms); the bus is free for others meanwhile, and the event has the time of the start.
+/// An MS5611 measures its temperature after the pressure, for which it holds the bus (0.6 to 9 ms, as
 /// `temperature_oversampling` says).
 ///
 /// The driver refuses a chip with another identity; an MS5611 has no identity and is checked by its checksum. It also
@@ -140,7 +140,8 @@ struct Bmp280Trimming {
     constexpr std::uint32_t skipped = 0x80000, skipped_humidity = 0x8000;  // as after a reset
     const std::uint32_t pressure_code = twenty_bits(0), temperature_code = twenty_bits(3);
     const auto failure = [](const char* why) {
-      return Error{Errc::bad_data, "cannot read the barometer", "", why, "it was reset, or is damaged"};
+      return Error{Errc::bad_data, "cannot read the barometer", "", why,
+                   "check its supply; if this repeats, the chip is damaged"};
     };
     if (pressure_code == skipped || temperature_code == skipped) return failure("the measurement was skipped");
     const double t = temperature_code;
@@ -192,7 +193,7 @@ struct Bmp388Trimming {
     constexpr std::uint32_t skipped = 0x800000;
     if (code(0) == skipped || code(3) == skipped)
       return Error{Errc::bad_data, "cannot read the barometer", "", "the measurement was skipped",
-                   "it was reset, or is damaged"};
+                   "check its supply; if this repeats, the chip is damaged"};
     const double p = code(0);
     const double from_first = code(3) - t1;
     const double t = from_first * t2 + from_first * from_first * t3;
@@ -209,7 +210,7 @@ inline Result<AirMeasurement> bmp581_measurement(std::span<const std::uint8_t, 6
   constexpr int skipped = 0x7f7f7f, sign = 0x800000;  // skipped: as after a reset
   if (code(0) == skipped || code(3) == skipped)
     return Error{Errc::bad_data, "cannot read the barometer", "", "the measurement was skipped",
-                 "it was reset, or is damaged"};
+                 "check its supply; if this repeats, the chip is damaged"};
   return AirMeasurement{code(3) / 64.0, ((code(0) ^ sign) - sign) / 65536.0, {}};
 }
 
@@ -235,7 +236,8 @@ struct Ms5611Prom {
   /// conversion).
   Result<AirMeasurement> measurement(std::uint32_t pressure_code, std::uint32_t temperature_code) const {
     if (pressure_code == 0 || temperature_code == 0)  // "ADC read" without a conversion
-      return Error{Errc::bad_data, "cannot read the barometer", "", "it has no conversion", "it was reset meanwhile"};
+      return Error{Errc::bad_data, "cannot read the barometer", "", "it has no measurement",
+                   "check its supply: it was reset in the meantime"};
     const double difference = temperature_code - words[5] * 256.0;
     double hundredths = 2000 + difference * words[6] / 8388608;
     double offset = words[2] * 65536.0 + words[4] * difference / 128;
@@ -280,13 +282,14 @@ class Barometer {
   0x77 when it is high (a BMP581 or BMP585: 0x46, 0x47; an MS5611: the other way round). Boards with a pin CS have it on
   3.3 V for I2C. On SPI: SDO, SDI (SDA), SCK (SCL), CS (of an MS5611 PS is low then); `chip_select` in place of
   `address`; to 10 MHz.
-- Range: 300 to 1100 hPa (BMP390, BMP581, BMP585: 1250; MS5611: 10 to 1200), which is 9 km, with an MS5611 30 km. A chip
-  goes on beyond it, with a greater error.
+- Range: 300 to 1100 hPa (BMP390, BMP581, BMP585: 1250; MS5611: 10 to 1200), which is 9 km, with an MS5611 30 km. A
+  chip also measures beyond it, with a larger error.
 - `altitude` follows the ICAO standard atmosphere, in geopotential metres; weather moves it by 8 m a hPa. Set
-  `reference_pressure` to today's pressure at sea level, or to that of the ground where heights are to begin.
-- Only a BME280 has `humidity`; of the others it is absent. A BMP388 and a BMP390, a BMP280 and a BME280 differ in
-  identity; a wrong `model` is refused, and the error says which one it seems to be. A BMP580 is a BMP581 here: both have
-  the same identity and registers.
+  `reference_pressure` to today's pressure at sea level, or to the pressure at the ground level from which you count
+  heights.
+- Only a BME280 has `humidity`; for the others it is absent. A BMP388 and a BMP390, a BMP280 and a BME280 differ in
+  identity; a wrong `model` is refused, and the error names the chip that it seems to be. For a BMP580 use the model
+  `bmp581`: both have the same identity and registers.
 - Oversampling averages: less noise, and a longer measurement, which must fit into the period of `rate`.
 )";
   struct Config {
@@ -304,15 +307,16 @@ class Barometer {
                             value("bmp581", BarometerModel::bmp581), value("bmp585", BarometerModel::bmp585),
                             value("ms5611", BarometerModel::ms5611))),
           parameter("pressure_oversampling", &Config::pressure_oversampling,
-                    "measurements that are averaged: 1, 2, 4, 8 or 16 (BMP388, BMP390: 32 too; BMP581, BMP585: to "
-                    "128); MS5611: 256, 512, 1024, 2048 or 4096; default: 1, MS5611 4096",
+                    "number of measurements that are averaged: 1, 2, 4, 8 or 16 (BMP388, BMP390: 32 too; BMP581, "
+                    "BMP585: to 128); MS5611: 256, 512, 1024, 2048 or 4096; default: 1, MS5611 4096",
                     range(1, 4096)),
           parameter("temperature_oversampling", &Config::temperature_oversampling,
-                    "as `pressure_oversampling`; default: 1, MS5611 1024", range(1, 4096)),
-          parameter("humidity_oversampling", &Config::humidity_oversampling, "1, 2, 4, 8 or 16; default: 1",
+                    "like `pressure_oversampling`; default: 1, MS5611 1024", range(1, 4096)),
+          parameter("humidity_oversampling", &Config::humidity_oversampling,
+                    "number of measurements that are averaged: 1, 2, 4, 8 or 16; default: 1",
                     only_with("model", "bme280"), range(1, 16)),
           parameter("reference_pressure", &Config::reference_pressure,
-                    "where `altitude` is 0: the pressure at sea level, or on the ground", unit("Pa"),
+                    "pressure at which `altitude` is 0: the pressure at sea level, or on the ground", unit("Pa"),
                     range(1000, 120000)),
           identity_parameter(&Config::identity));
     }
@@ -371,8 +375,8 @@ class Barometer {
     humidity_ = settings[2].count;
   }
 
-  /// The start-up time, of a BMP581 until standby; of an MS5611 the temperature measurement, which follows that of the
-  /// pressure.
+  /// The start-up time, for a BMP581 with the time until standby; for an MS5611 the temperature measurement, which
+  /// follows the pressure.
   static Duration bus_time(const Config& config) {
     constexpr Duration start_up = std::chrono::milliseconds{3};
     if (models[static_cast<std::size_t>(config.model)].family == Family::bmp5) return 2 * start_up;
@@ -456,7 +460,7 @@ class Barometer {
   static Result<BarometerReading> reading(const AirMeasurement& air, double reference_pressure) {
     constexpr double most = 200'000;
     if (!(air.pressure > 0 && air.pressure <= most))
-      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is outside its range",
+      return Error{Errc::out_of_range, what, "", std::to_string(air.pressure) + " Pa is outside the range of the chip",
                    "check its wires and its supply"};
     return BarometerReading{air.pressure, air.temperature,
                             pressure_altitude(air.pressure) - pressure_altitude(reference_pressure), air.humidity};
@@ -493,7 +497,7 @@ class Barometer {
       if (is_of_humidity && !model.has_humidity) {
         if (config.humidity_oversampling)
           all[i].mistake = "the " + std::string(model.chip.name) +
-                           " measures no humidity; leave it out, or set another `model`";
+                           " measures no humidity; remove this, or set another `model`";
         continue;
       }
       if (!std::has_single_bit(count) || count < model.least_oversampling || count > model.most_oversampling)
@@ -526,7 +530,7 @@ class Barometer {
     if (are_alike || !trimming.is_usable()) {
       return chip.error(Errc::bad_data, "cannot use the " + name,
                         are_alike ? "its trimming parameters are all " + to_string(I2cAddress(bytes[0]))
-                                  : "there are zeros among its trimming parameters",
+                                  : "some of its trimming parameters are 0",
                         "the chip is damaged, or its wires are bad");
     }
     if constexpr (std::is_same_v<Trimming, Bmp280Trimming>) {
@@ -537,7 +541,7 @@ class Barometer {
         if (auto done = chip.read_registers(0xe1, rest); !done) return done;
         trimming.decode_humidity(*first, rest);
         if (trimming.h2 == 0 || trimming.h2 == -1)
-          return chip.error(Errc::bad_data, "cannot use the " + name, "it has no trimming parameters of humidity",
+          return chip.error(Errc::bad_data, "cannot use the " + name, "it has no trimming parameters for humidity",
                             "the chip is damaged");
       }
     }

@@ -3,15 +3,15 @@
 ///     rtdata::DriverSensor<rtdata::Bme680> air(loop, {.name = "air", .rate = 0.33_Hz}, bus, {.address = 0x76},
 ///                                              {.heater_temperature = 320, .heater_duration = 150ms});
 ///
-/// Each tick starts one measurement and reads it when the chip has had its time: some 20 ms, and `heater_duration`; the
-/// bus is free for others meanwhile, and the event has the time of the start. The gas sensor is heated to
-/// `heater_temperature` for that long; its resistance falls when there is more of volatile organic compounds. Bosch's
-/// index of air quality is not computed. While the heater has not reached its temperature the event has no
-/// `gas_resistance`, and the reading is counted as unreadable.
+/// Each tick starts one measurement and reads it when the chip has had its time: about 20 ms plus `heater_duration`;
+/// the bus is free for others meanwhile, and the event has the time of the start. The gas sensor is heated to
+/// `heater_temperature` for this time; its resistance falls when there are more volatile organic compounds. Bosch's air
+/// quality index is not computed. While the heater has not reached its temperature the event has no `gas_resistance`,
+/// and the reading is counted as unreadable.
 ///
-/// The driver refuses a chip with another identity, and trimming parameters that are all zeros or all ones; it tells a
-/// BME680 from a BME688 by itself. A reading is unreadable when the chip has lost its settings, or has skipped a
-/// measurement; the next tick sets it up again. Ranges: -40 to 85 degrees, 300 to 1100 hPa, 0 to 100 %.
+/// The driver refuses a chip with another identity, and trimming parameters that are all zeros or all ones; it detects
+/// by itself whether it is a BME680 or a BME688. A reading is unreadable when the chip has lost its settings, or has
+/// skipped a measurement; the next tick sets it up again. Ranges: -40 to 85 degrees, 300 to 1100 hPa, 0 to 100 %.
 ///
 /// Sources: Bosch BME680, BST-BME680-DS001: 3.3.1 to 3.3.3 compensation, 3.3.5 heater, 3.4.1 gas, 5.2, 5.3 registers;
 /// BME688, BST-BME688-DS000: 3.6.1 to 3.6.5 and 3.7.1, the same with another formula of the gas, 5.2 and 5.3 registers.
@@ -112,7 +112,8 @@ struct Bme680Trimming {
   /// out-of-range (such a pressure is not measured).
   Result<Bme680Reading> measurement(std::span<const std::uint8_t, 17> bytes, bool has_gas) const {
     const auto refused = [](Errc code, std::string why) {
-      return Error{code, "cannot read the BME680", "", std::move(why), "it was reset, or is damaged"};
+      return Error{code, "cannot read the BME680", "", std::move(why),
+                   "check its supply; if this repeats, the chip is damaged"};
     };
     const auto twenty_bits = [&](std::size_t at) {
       return static_cast<std::uint32_t>(bytes[at]) << 12 | static_cast<std::uint32_t>(bytes[at + 1]) << 4 |
@@ -138,7 +139,7 @@ struct Bme680Trimming {
     reading.pressure = raw + (p9 * raw * raw / 2147483648.0 + raw * p8 / 32768 + cube * p10 / 131072 + p7 * 128.0) / 16;
     constexpr double most = 200'000;
     if (!(reading.pressure > 0 && reading.pressure <= most))
-      return refused(Errc::out_of_range, std::to_string(reading.pressure) + " Pa is outside its range");
+      return refused(Errc::out_of_range, std::to_string(reading.pressure) + " Pa is outside the range of the chip");
 
     const double t = reading.temperature;
     const double wet = (humidity_code - (h1 * 16.0 + h3 / 2.0 * t)) * (h2 / 262144.0) *
@@ -180,13 +181,13 @@ class Bme680 {
       description = "temperature, pressure, humidity and gas resistance of a BME680 or BME688 on I2C";
   static constexpr std::string_view notes = R"(
 - Wires: 3.3 V, ground, SDA, SCL. The pin SDO chooses the address: 0x76 when it is low, 0x77 when it is high.
-- `gas_resistance` falls when there is more of volatile organic compounds; it also depends on humidity. Bosch's index
-  of air quality is not computed.
+- `gas_resistance` falls when there are more volatile organic compounds; it also depends on humidity. Bosch's air
+  quality index is not computed.
 - The heater is on for `heater_duration` in each reading, which must fit into the period of `rate`, and warms the chip:
-  `"rate": "0.33 Hz"` is usual. `"heater_duration": "0 s"` measures no gas.
+  `"rate": "0.33 Hz"` is usual. With `"heater_duration": "0 s"` gas is not measured.
 - A new gas sensor needs two days to settle, and half an hour after each start; the chip does not mark these values.
   While the heater has not reached its temperature, `gas_resistance` is absent, and the reading is counted as unreadable.
-- A BME680 and a BME688 are told apart by the driver.
+- The driver detects whether it is a BME680 or a BME688.
 )";
   struct Config {
     double heater_temperature = 320;                            ///< degrees Celsius
@@ -196,15 +197,17 @@ class Bme680 {
     friend constexpr auto parameters(type_tag<Config>) {
       using namespace std::chrono_literals;
       return parameter_list(
-          parameter("heater_temperature", &Config::heater_temperature, "of the gas sensor", unit("Cel"),
-                    range(200, 400)),
+          parameter("heater_temperature", &Config::heater_temperature,
+                    "temperature of the gas sensor when it is measured", unit("Cel"), range(200, 400)),
           parameter("heater_duration", &Config::heater_duration,
-                    "for which the gas sensor is heated before it is measured; 0 s: no gas is measured",
+                    "how long the gas sensor is heated before it is measured; 0 s: gas is not measured",
                     range(Duration{0}, Duration{4032ms})),
           parameter("temperature_oversampling", &Config::temperature_oversampling,
-                    "measurements that are averaged: 1, 2, 4, 8 or 16", range(1, 16)),
-          parameter("pressure_oversampling", &Config::pressure_oversampling, "1, 2, 4, 8 or 16", range(1, 16)),
-          parameter("humidity_oversampling", &Config::humidity_oversampling, "1, 2, 4, 8 or 16", range(1, 16)),
+                    "number of measurements that are averaged: 1, 2, 4, 8 or 16", range(1, 16)),
+          parameter("pressure_oversampling", &Config::pressure_oversampling,
+                    "number of measurements that are averaged: 1, 2, 4, 8 or 16", range(1, 16)),
+          parameter("humidity_oversampling", &Config::humidity_oversampling,
+                    "number of measurements that are averaged: 1, 2, 4, 8 or 16", range(1, 16)),
           identity_parameter(&Config::identity));
     }
   };
@@ -266,14 +269,14 @@ class Bme680 {
     if (are_alike || !trimming_.is_usable())
       return chip.error(Errc::bad_data, "cannot use the BME680",
                         are_alike ? "its trimming parameters are all " + to_string(I2cAddress(first[0]))
-                                  : "there are zeros among its trimming parameters",
+                                  : "some of its trimming parameters are 0",
                         "the chip is damaged, or its wires are bad");
     const Result<std::uint8_t> variant = chip.read_register(variant_register);
     if (!variant) return variant.error();
     constexpr std::uint8_t of_bme680 = 0, of_bme688 = 1;
     if (*variant != of_bme680 && *variant != of_bme688)
       return chip.error(Errc::bad_data, "cannot use the chip as a BME680 or BME688",
-                        "its variant is " + to_string(I2cAddress(*variant)) + ", that of these chips is 0x00 or 0x01",
+                        "its variant is " + to_string(I2cAddress(*variant)) + ", but these chips have 0x00 or 0x01",
                         "check which chip is at this address");
     trimming_.is_bme688 = *variant == of_bme688;
     return {};
@@ -319,7 +322,7 @@ class Bme680 {
     out.add(*reading);
     if (has_gas() && !reading->gas_resistance)
       out.unreadable(chip.error(Errc::bad_data, what, "the gas sensor's heater has not reached its temperature",
-                                "a longer `heater_duration`"));
+                                "set a longer `heater_duration`"));
     return {};
   }
 

@@ -72,13 +72,14 @@ class Bno055 {
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. Address: 0x28, with ADR (COM3) high 0x29.
 - The chip holds the clock line while it is busy (clock stretching). The I2C controller of Raspberry Pis up to the 4
-  reads wrong bytes then: use its software bus (`dtoverlay=i2c-gpio`), and name that one. Readings without sense are
-  told as unreadable, but not all wrong bytes can be noticed.
-- A new orientation comes 100 times a second: a `rate` above 100 Hz reads the same again. There is no FIFO.
-- In mode `ndof` the heading is that of the earth's magnetic field; in mode `imu` it begins at 0, drifts, and no
-  magnet disturbs it.
-- Trust an orientation when `calibration_system` is 3: lie still for the gyroscope, move in eights for the
-  magnetometer, hold six positions for the accelerometer. The calibration is made anew after each loss of power.
+  reads wrong bytes then: use its software bus (`dtoverlay=i2c-gpio`) instead. Impossible readings are reported as
+  unreadable, but not all wrong bytes can be detected.
+- A new orientation comes 100 times a second: a `rate` above 100 Hz reads the same value again. There is no FIFO.
+- In mode `ndof` the heading follows the earth's magnetic field; in mode `imu` it begins at 0 and drifts, but magnets
+  do not disturb it.
+- Trust an orientation when `calibration_system` is 3: keep the chip still for the gyroscope, move it in figures of
+  eight for the magnetometer, hold it in six positions for the accelerometer. The calibration is made anew after each
+  loss of power.
 - After switching on it needs 0.7 s; the sensor tries again until then.
 )";
   struct Config {
@@ -117,7 +118,7 @@ class Bno055 {
       constexpr std::array<const char*, 4> parts{"accelerometer", "magnetometer", "gyroscope", "processor"};
       if ((*tested >> i & 1) == 0)
         return chip.error(Errc::bad_data, "cannot use the BNO055",
-                          std::string("its self-test has found its ") + parts[i] + " bad", "the chip is damaged");
+                          std::string("its self-test found a fault in its ") + parts[i], "the chip is damaged");
     }
     return set_up(chip);
   }
@@ -135,12 +136,14 @@ class Bno055 {
     constexpr std::uint8_t system_error = 1, fusion_runs = 5;
     if (status == system_error) {
       if (auto done = set_up(chip); !done) return std::move(done).error();
-      return chip.error(Errc::bad_data, what, "it reports its error " + std::to_string(error), "data sheet, 4.3.59");
+      return chip.error(Errc::bad_data, what, "it reports error " + std::to_string(error),
+                        "see section 4.3.59 of its data sheet");
     }
     if (status != fusion_runs) {
       constexpr auto patience = std::chrono::seconds{1};
       if (Samples<int>::now() - set_up_at_ < patience) return NothingNew{};
-      return chip.error(Errc::timed_out, what, "its fusion does not run, its status is " + std::to_string(status), "");
+      return chip.error(Errc::timed_out, what,
+                        "its sensor fusion does not run: its status is " + std::to_string(status), "");
     }
     const auto reading = decode(bytes, config_.mode);
     if (!reading) return Unreadable{chip.error(Errc::bad_data, what, reading.error().why, reading.error().advice)};
@@ -196,7 +199,7 @@ class Bno055 {
         reading.quaternion_y * reading.quaternion_y + reading.quaternion_z * reading.quaternion_z);
     if (!(std::abs(length - 1) < 0.02))
       return Error{Errc::bad_data, what, "", "its quaternion has the length " + std::to_string(length) + ", not 1",
-                   "bytes were read wrong: the bus must bear that it holds the clock line"};
+                   "bytes were read wrong: use a bus that supports clock stretching"};
     return reading;
   }
 

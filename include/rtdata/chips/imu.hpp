@@ -5,12 +5,12 @@
 ///                                           {.model = ImuModel::lsm6dso, .sample_rate = 416});
 ///
 /// The chip measures by itself at `sample_rate` and keeps its samples in a FIFO, which each tick of the sensor empties:
-/// at 50 Hz and 416 samples a second, some eight at a time. Times, losses, settings that are lost: inertial.hpp. When
-/// the FIFO of an MPU, ICM or LSM6DS3 overflows, the driver empties it, because it cannot tell where a sample begins;
-/// the other chips keep the newest samples.
+/// at 50 Hz and 416 samples a second, some eight at a time. Times, losses, lost settings: inertial.hpp. When the FIFO
+/// of an MPU, ICM or LSM6DS3 overflows, the driver empties it, because it cannot tell where a sample begins; the other
+/// chips keep the newest samples.
 ///
 /// The magnetometers of an MPU-9250 and an LSM9DS1 are separate chips (magnetometer.hpp); this driver connects the one
-/// of an MPU-9250 to the bus, and leaves that of an ICM-20948 alone. Axes are those in the data sheet. The driver
+/// of an MPU-9250 to the bus, and does not use the one of an ICM-20948. Axes are those in the data sheet. The driver
 /// refuses a chip with another identity.
 ///
 /// Sources: MPU-6050, register map RM-MPU-6000A-00 rev. 4.2: 4.4 to 4.6 settings, 4.14 to 4.34 FIFO, 4.17 to 4.19
@@ -115,8 +115,8 @@ inline Result<InertialSixLimits> mpu6050_limits(RegisterDevice& chip) {
     const double by = g(0.34 * std::pow(0.92 / 0.34, (acceleration - 1) / 30.0));
     const double turns = degrees(25 * std::pow(1.046, angle - 1));
     if (acceleration == 0 || angle == 0)
-      return chip.error(Errc::bad_data, "cannot test the MPU-6050", "it has no values of the factory to compare with",
-                        "leave `self_test` out");
+      return chip.error(Errc::bad_data, "cannot test the MPU-6050", "it has no factory values to compare with",
+                        "remove `self_test`");
     limits[axis] = {0.86 * by, 1.14 * by};
     limits[3 + axis] = {0.86 * turns, 1.14 * turns};
   }
@@ -418,22 +418,22 @@ struct ImuConfig {
                           value("lsm6dsox", ImuModel::lsm6dsox), value("lsm9ds1", ImuModel::lsm9ds1),
                           value("icm20948", ImuModel::icm20948))),
         parameter("sample_rate", &ImuConfig::sample_rate,
-                  "samples a second of the chip; `rate` says how often they are fetched. MPU: 1000, ICM-20948: 1125, "
-                  "divided by a whole number; LSM6: 26, 52, 104, 208, 416, 833, 1660; LSM9DS1: 14.9, 59.5, 119, 238, "
-                  "476, 952; default: the first from 100 on",
+                  "samples per second that the chip takes; `rate` is how often the program fetches them. MPU: 1000, "
+                  "ICM-20948: 1125, divided by a whole number; LSM6: 26, 52, 104, 208, 416, 833, 1660; LSM9DS1: 14.9, "
+                  "59.5, 119, 238, 476, 952; default: the lowest that is at least 100",
                   unit("Hz"), range(4, 2000)),
-        parameter("acceleration_range", &ImuConfig::acceleration_range, "2, 4, 8 or 16 times 9.80665 m/s2; default: 16",
-                  range(2, 16)),
-        parameter(
-            "angular_range", &ImuConfig::angular_range,
-            "in degrees a second. MPU, ICM: 250, 500, 1000, 2000; LSM6: 125 too; LSM9DS1: 245, 500, 2000; default: "
-            "2000",
-            range(125, 2000)),
+        parameter("acceleration_range", &ImuConfig::acceleration_range,
+                  "measuring range in g (9.80665 m/s2): 2, 4, 8 or 16; default: 16", range(2, 16)),
+        parameter("angular_range", &ImuConfig::angular_range,
+                  "measuring range in degrees per second. MPU, ICM: 250, 500, 1000, 2000; LSM6: also 125; LSM9DS1: "
+                  "245, 500, 2000; default: 2000",
+                  range(125, 2000)),
         parameter("bandwidth", &ImuConfig::bandwidth,
-                  "of the low-pass filter of an MPU: 188, 98, 42, 20, 10 or 5; default: 42. ICM-20948: 197, 152, 120, "
-                  "51, 24, 12 or 6; default: 51",
+                  "cut-off frequency of the low-pass filter. MPU: 188, 98, 42, 20, 10 or 5 (default 42); ICM-20948: "
+                  "197, 152, 120, 51, 24, 12 or 6 (default 51)",
                   unit("Hz"), range(5, 197), only_with("model", "mpu6050", "mpu6500", "mpu9250", "icm20948")),
-        parameter("self_test", &ImuConfig::self_test, "tests the chip at each start, in which it must lie still"),
+        parameter("self_test", &ImuConfig::self_test,
+                  "tests the chip at each start; it must lie still during the test"),
         identity_parameter(&ImuConfig::identity));
   }
   static std::span<const InertialModel> models() noexcept { return imu_models::all; }
@@ -456,19 +456,20 @@ class Imu : public InertialDriver<ImuConfig, ImuReading> {
   static constexpr std::string_view notes =
       R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: MPU and ICM 0x68, with AD0 high 0x69; LSM 0x6a, with SDO (SA0) high 0x6b.
   Boards with a pin CS have it on 3.3 V for I2C. On SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of
-  `address`; an MPU to 1 MHz, an ICM to 7 MHz, the others to 10 MHz. An MPU-6050 has no SPI.
-- The chip takes `sample_rate` samples a second by itself and keeps them in its FIFO; `rate` says how often it is
-  emptied. Each sample is an event. The FIFO holds 73 samples of an MPU-6050, 36 of an MPU-6500 or 9250, 42 of an ICM-20948, 682 of an
-  LSM6DS3 (TR-C: 341), 256 of an LSM6DSO or DSOX, 32 of an LSM9DS1. Empty it at least twice as often as it fills.
-- What does not fit is counted as `lost`: exactly with an LSM6DSO or DSOX, by the time and the chip's rate with the others,
-  within one each time.
-- Times are right within a period: the chips' clocks are not read, their rates are learned.
-- An LSM6DSO and an LSM6DSOX have one identity and are used alike. The magnetometers of an MPU-9250 and an LSM9DS1 are
-  chips of their own, of type `magnetometer`. That of an ICM-20948 is not read.
+`address`; an MPU to 1 MHz, an ICM to 7 MHz, the others to 10 MHz. An MPU-6050 does not support SPI.
+- The chip takes `sample_rate` samples a second by itself and keeps them in its FIFO; `rate` is how often the program
+  empties it. Each sample is an event. The FIFO holds 73 samples of an MPU-6050, 36 of an MPU-6500 or 9250, 42 of an
+  ICM-20948, 682 of an LSM6DS3 (TR-C: 341), 256 of an LSM6DSO or DSOX, 32 of an LSM9DS1. Empty it at least twice as
+  often as it fills.
+- Samples that do not fit are counted as `lost`: exactly with an LSM6DSO or DSOX; with the others from the time and the
+  chip's rate, with an error of at most one each time.
+- Times are accurate to one period: the chips' clocks are not read; the program learns their rates.
+- An LSM6DSO and an LSM6DSOX have one identity and are used in the same way. The magnetometers of an MPU-9250 and an
+  LSM9DS1 are separate chips, of type `magnetometer`. The magnetometer of an ICM-20948 is not read.
 - Boards with an ICM-20948 have a regulator: the chip itself has 1.8 V on its bus.
-- `temperature` is with each sample of an MPU; with the others only with the newest sample of each read.
-- `"self_test": true` takes 0.4 s at each start (MPU: 0.6 s), in which the chip must lie still; the `timeout` of the
-  bus must be above that.
+- An MPU gives `temperature` with each sample; the others only with the newest sample of each read.
+- `"self_test": true` takes 0.4 s at each start (MPU: 0.6 s); the chip must lie still meanwhile, and the `timeout` of
+  the bus must be longer.
 - A read on a bus of 400 kHz takes 0.3 to 0.45 ms a sample: 1000 samples a second need a third of it or more.
 )";
   static constexpr RegisterPlace place{0x68};

@@ -56,7 +56,7 @@ class Ina {
 - The shunt lies between IN+ and IN-. Most boards with an INA219 or INA226 have one of 0.1 Ohm: to 3.2 A (INA226: 0.8 A);
   those with an INA228 mostly 0.015 Ohm: to 10.9 A. The bus may have up to 26 V (INA226: 36 V; INA228: 85 V).
 - Beyond the range of shunt or bus there is no value: it is counted as unreadable.
-- It measures some 900 times a second (INA226, INA228: 450). A reading before the chip has measured anew is counted as
+- It measures some 900 times a second (INA226, INA228: 450). A reading before the next measurement is counted as
   repeated.
 )";
   struct Config {
@@ -67,8 +67,8 @@ class Ina {
       return parameter_list(parameter("model", &Config::model, "which chip it is",
                                       choices(value("ina219", InaModel::ina219), value("ina226", InaModel::ina226),
                                               value("ina228", InaModel::ina228))),
-                            parameter("shunt_resistance", &Config::shunt_resistance, "of the shunt: 0.1 on most boards",
-                                      unit("Ohm"), range(1e-6, 1e3)),
+                            parameter("shunt_resistance", &Config::shunt_resistance,
+                                      "resistance of the shunt: 0.1 on most boards", unit("Ohm"), range(1e-6, 1e3)),
                             identity_parameter(&Config::identity));
     }
   };
@@ -134,7 +134,8 @@ class Ina {
     const Result<std::uint16_t> flags = chip.read_word(model.flags_register);
     if (!flags) return flags.error();
     if ((*flags & model.intact) != model.intact)
-      return Unreadable{chip.error(Errc::bad_data, what, "the checksum of its trimming is wrong", "another chip")};
+      return Unreadable{
+          chip.error(Errc::bad_data, what, "the checksum of its trimming values is wrong", "use another chip")};
     const MonotonicTime now = Samples<PowerReading>::now();
     if ((*flags & model.ready) == 0) {
       if (now - last_ > std::chrono::seconds{1})
@@ -151,13 +152,13 @@ class Ina {
       if (const Result<std::uint16_t> power = chip.read_word(power_register); !power) return power.error();
     }
     auto reading = (*flags & model.overflow) != 0
-                       ? Error{Errc::out_of_range, what, "", "it reports an overflow", "a smaller shunt"}
+                       ? Error{Errc::out_of_range, what, "", "it reports an overflow", "use a smaller shunt"}
                        : decode(*shunt, *bus, config_);
     if (!reading) return Unreadable{chip.error(Errc::out_of_range, what, reading.error().why, reading.error().advice)};
     return *reading;
   }
 
-  /// Refuses a chip that Texas Instruments has not made. A clone, which the user trusts, may say whatever it likes.
+  /// Refuses a chip that Texas Instruments has not made. A clone that the user trusts may have any maker.
   static Result<void> check_maker(I2cDevice& chip, std::uint8_t maker_register, const KnownChip& known) {
     constexpr std::uint16_t texas_instruments = 0x5449;
     const Result<std::uint16_t> maker = chip.read_word(maker_register);
@@ -174,10 +175,11 @@ class Ina {
     const Model& model = of(config.model);
     const int code = static_cast<std::int32_t>(shunt << (32 - model.bits)) >> (32 - model.bits + model.shunt_shift);
     if (code >= model.shunt_end || code <= -model.shunt_end)
-      return Error{Errc::out_of_range, what, "", "the current is beyond what it can measure", "a smaller shunt"};
+      return Error{Errc::out_of_range, what, "", "the current is larger than the chip can measure",
+                   "use a smaller shunt"};
     const int bus_code = static_cast<int>(bus >> model.bus_shift);
     if (bus_code >= model.bus_end)
-      return Error{Errc::out_of_range, what, "", "the voltage of the bus is beyond what it can measure",
+      return Error{Errc::out_of_range, what, "", "the bus voltage is higher than the chip can measure",
                    "check its wires"};
     const double current = code * model.shunt_step / config.shunt_resistance;
     const double voltage = bus_code * model.bus_step;

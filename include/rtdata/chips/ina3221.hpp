@@ -56,7 +56,7 @@ class Ina3221 {
 - Address by the pin A0: to GND 0x40, supply 0x41, SDA 0x42, SCL 0x43.
 - Each shunt lies between IN+ and IN- of its channel. Most boards have 0.1 Ohm: to 1.6 A. The buses may have up to 26 V.
 - A channel beyond its range has no value, and the reading is counted as unreadable. An open channel reads as about 0.
-- It measures all channels some 150 times a second. A reading before the chip has measured anew is counted as repeated.
+- It measures all channels some 150 times a second. A reading before the next measurement is counted as repeated.
 )";
   struct Config {
     double shunt_resistance_1 = 0.1, shunt_resistance_2 = 0.1, shunt_resistance_3 = 0.1;  ///< Ohm
@@ -65,13 +65,14 @@ class Ina3221 {
       return {shunt_resistance_1, shunt_resistance_2, shunt_resistance_3};
     }
     friend constexpr auto parameters(type_tag<Config>) {
-      return parameter_list(parameter("shunt_resistance_1", &Config::shunt_resistance_1,
-                                      "of the shunt of channel 1: 0.1 on most boards", unit("Ohm"), range(1e-6, 1e3)),
-                            parameter("shunt_resistance_2", &Config::shunt_resistance_2, "of that of channel 2",
-                                      unit("Ohm"), range(1e-6, 1e3)),
-                            parameter("shunt_resistance_3", &Config::shunt_resistance_3, "of that of channel 3",
-                                      unit("Ohm"), range(1e-6, 1e3)),
-                            identity_parameter(&Config::identity));
+      return parameter_list(
+          parameter("shunt_resistance_1", &Config::shunt_resistance_1,
+                    "resistance of the shunt of channel 1: 0.1 on most boards", unit("Ohm"), range(1e-6, 1e3)),
+          parameter("shunt_resistance_2", &Config::shunt_resistance_2, "resistance of the shunt of channel 2",
+                    unit("Ohm"), range(1e-6, 1e3)),
+          parameter("shunt_resistance_3", &Config::shunt_resistance_3, "resistance of the shunt of channel 3",
+                    unit("Ohm"), range(1e-6, 1e3)),
+          identity_parameter(&Config::identity));
     }
   };
   using Value = ThreePowersReading;
@@ -154,10 +155,11 @@ class Ina3221 {
     const int code = static_cast<std::int16_t>(shunt) >> 3;
     constexpr int end = 0x0fff;  // codes from here on are invalid
     if (code >= end || code <= -end)
-      return Error{Errc::out_of_range, what, "", "the current is beyond what it can measure", "a smaller shunt"};
+      return Error{Errc::out_of_range, what, "", "the current is larger than the chip can measure",
+                   "use a smaller shunt"};
     const int bus_code = bus >> 3;
     if (bus_code >= end)
-      return Error{Errc::out_of_range, what, "", "the voltage of the bus is beyond what it can measure",
+      return Error{Errc::out_of_range, what, "", "the bus voltage is higher than the chip can measure",
                    "check its wires"};
     constexpr double shunt_step = 40e-6, bus_step = 8e-3;  // V
     const double current = code * shunt_step / shunt_resistance, voltage = bus_code * bus_step;

@@ -113,7 +113,7 @@ struct InertialModel {
   double counts_per_degree = 1, degrees_at_zero = 0;
   InertialSelfTest self_test = {};
   RegisterAddressing addressing = {};
-  std::uint8_t bank_register = 0;  ///< bits 4 and 5 choose a bank, which is 0 but in `setting_up`; 0: there are none
+  std::uint8_t bank_register = 0;  ///< bits 4 and 5 choose a bank, which is 0 except in `setting_up`; 0: there are none
 };
 
 /// What a configuration has chosen; none: the default of the model.
@@ -160,7 +160,7 @@ class InertialChip {
     check("angular_range", model.angles, settings.angle);
     check("bandwidth", model.filters, settings.filter);
     if (settings.self_test && model.self_test.acceleration_on == 0)
-      mistakes.push_back({"self_test", "there are no limits for that of the " + std::string(model.chip.name)});
+      mistakes.push_back({"self_test", "no limits are known for the self-test of the " + std::string(model.chip.name)});
     return mistakes;
   }
   static void check(const InertialModel& model, const InertialSettings& settings, const ConfigItem& item,
@@ -265,8 +265,8 @@ class InertialChip {
     }
     const std::size_t filled = (status & fifo.count_mask) * fifo.count_bytes;
     if (filled > fifo.capacity) {
-      return chip.error(Errc::bad_data, what, "its FIFO has " + std::to_string(filled) + " bytes, more than there are",
-                        "check its wires");
+      return chip.error(Errc::bad_data, what,
+                        "its FIFO has " + std::to_string(filled) + " bytes, more than it can hold", "check its wires");
     }
     has_run_over = has_run_over || (status & fifo.over_mask) != 0 || filled + model_.sample_bytes > fifo.capacity;
     if (!fifo.keeps_whole_samples && (has_run_over || is_torn_ || (status & fifo.torn_mask) != 0))
@@ -654,7 +654,7 @@ class InertialChip {
       return chip.error(Errc::out_of_range, "the self-test of the " + std::string(model_.chip.name) + " failed",
                         std::string(i < 3 ? "its acceleration " : "its angular velocity ") + "xyz"[i % 3] +
                             " changes by " + text_of(by) + unit + ", not by " + text_of(least) + " to " + text_of(most),
-                        "hold it still while it starts; else the chip is damaged");
+                        "keep it still while it starts; if this repeats, the chip is damaged");
     }
     return {};
   }

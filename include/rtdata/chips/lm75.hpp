@@ -33,9 +33,9 @@ class Lm75 {
   static constexpr std::string_view description = "temperature of an LM75, TMP75 or the like on I2C";
   static constexpr std::string_view notes = R"(
 - Addresses `0x48` to `0x4f`, by what A0 to A2 are connected to. 2.8 to 5.5 V.
-- -55 to 125 degrees, in steps of 0.5 (LM75) to 0.0625 (TMP75); what lies outside is unreadable.
+- -55 to 125 degrees, in steps of 0.5 (LM75) to 0.0625 (TMP75); values outside are unreadable.
 - It measures by itself, some ten times a second; a reading takes the last value.
-- It has no identity and no checksum: another chip at its address reads as some temperature.
+- It has no identity and no checksum: another chip at its address gives a wrong temperature.
 )";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
@@ -57,7 +57,7 @@ class Lm75 {
     if (degrees < least || degrees > most) {
       return Unreadable{chip.error(Errc::out_of_range, "cannot read the LM75",
                                    std::to_string(degrees) + " degrees is outside its range, -55 to 125 degrees",
-                                   "check its wires, and whether this is an LM75")};
+                                   "check its wires; check that it is an LM75")};
     }
     return TemperatureReading{degrees};
   }

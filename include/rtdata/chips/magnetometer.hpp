@@ -205,11 +205,11 @@ class Magnetometer {
       R"(- Wires: 3.3 V, ground, SDA, SCL. Addresses: LIS3MDL and LSM9DS1 0x1c, with SDO (SA1, SDO_M) high 0x1e; AK8963 0x0c;
   HMC5883L 0x1e; QMC5883L 0x0d. Boards that are sold as HMC5883L mostly have a QMC5883L. A LIS3MDL or LSM9DS1 on
   SPI: SDO, SDI (SDA), SCK (SCL), CS; `chip_select` in place of `address`; to 10 MHz.
-- An AK8963 is inside of an MPU-9250, which lets it onto the bus as soon as a sensor of type `imu` with the model
+- An AK8963 is inside an MPU-9250, which connects it to the bus as soon as a sensor of type `imu` with the model
   `mpu9250` has been opened on the same bus; until then no chip answers.
-- The chip measures `sample_rate` times a second and keeps the newest sample: a lower `rate` leaves samples out, a higher
-  one has nothing new at some ticks (an HMC5883L gives the same again).
-- Fields are in tesla: the earth's is 25e-6 to 65e-6 T. A field beyond `field_range` is told as unreadable.
+- The chip measures `sample_rate` times a second and keeps the newest sample: a lower `rate` skips samples; at a higher
+  one some ticks have nothing new (an HMC5883L gives the same value again).
+- Fields are in tesla: the earth's is 25e-6 to 65e-6 T. A field beyond `field_range` is reported as unreadable.
 - A LIS3MDL and the magnetometer of an LSM9DS1 have one identity: with the wrong `model`, values are wrong by 4 %.
 - Iron, magnets and currents nearby add to the field: calibrate each field with `process`, on the finished device.
 )";
@@ -224,13 +224,14 @@ class Magnetometer {
                     choices(value("lis3mdl", MagnetometerModel::lis3mdl), value("lsm9ds1", MagnetometerModel::lsm9ds1),
                             value("ak8963", MagnetometerModel::ak8963), value("hmc5883l", MagnetometerModel::hmc5883l),
                             value("qmc5883l", MagnetometerModel::qmc5883l))),
-          parameter("sample_rate", &Config::sample_rate,
-                    "measurements a second of the chip. LIS3MDL, LSM9DS1: 0.625, 1.25, 2.5, 5, 10, 20, 40, 80; AK8963: "
-                    "8, 100; HMC5883L: 0.75, 1.5, 3, 7.5, 15, 30, 75; QMC5883L: 10, 50, 100, 200; default: the last",
-                    unit("Hz"), range(0.625, 200.0)),
+          parameter(
+              "sample_rate", &Config::sample_rate,
+              "measurements per second that the chip takes. LIS3MDL, LSM9DS1: 0.625, 1.25, 2.5, 5, 10, 20, 40, 80; "
+              "AK8963: 8, 100; HMC5883L: 0.75, 1.5, 3, 7.5, 15, 30, 75; QMC5883L: 10, 50, 100, 200; default: the last",
+              unit("Hz"), range(0.625, 200.0)),
           parameter("field_range", &Config::field_range,
-                    "in gauss, which are 1e-4 T. LIS3MDL, LSM9DS1: 4, 8, 12, 16; AK8963: 49.12; HMC5883L: 0.88, 1.3, "
-                    "1.9, 2.5, 4, 4.7, 5.6, 8.1; QMC5883L: 2, 8; default: the first, HMC5883L 1.3",
+                    "measuring range in gauss (1e-4 T). LIS3MDL, LSM9DS1: 4, 8, 12, 16; AK8963: 49.12; HMC5883L: 0.88, "
+                    "1.3, 1.9, 2.5, 4, 4.7, 5.6, 8.1; QMC5883L: 2, 8; default: the first, HMC5883L 1.3",
                     unit("G"), range(0.88, 49.12)),
           identity_parameter(&Config::identity));
     }
@@ -308,7 +309,7 @@ class Magnetometer {
     const MonotonicTime now = Samples<int>::now();
     if (model_.is_new.mask != 0 && (bytes[model_.is_new.at] & model_.is_new.mask) == 0) {
       if (now - last_ <= patience()) return NothingNew{};
-      return chip.error(Errc::timed_out, what, "it has given no sample since " + to_string(patience()),
+      return chip.error(Errc::timed_out, what, "it has given no sample for " + to_string(patience()),
                         "check its supply");
     }
     last_ = now;
@@ -338,7 +339,8 @@ class Magnetometer {
       tesla[axis] = code / range->counts_per_gauss * tesla_a_gauss * adjustment[axis];
     }
     if (is_over)
-      return Error{Errc::out_of_range, what, "", "the field is beyond the range of " + text_of(range->gauss) + " gauss",
+      return Error{Errc::out_of_range, what, "",
+                   "the field is outside the range of " + text_of(range->gauss) + " gauss",
                    model.ranges.size() > 1 ? "set a wider `field_range`, or move it away from magnets and iron"
                                            : "move it away from magnets"};
     MagnetometerReading reading{tesla[0], tesla[1], tesla[2], {}};

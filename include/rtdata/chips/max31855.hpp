@@ -32,10 +32,11 @@ class Max31855 {
   static constexpr std::string_view description = "temperature of a thermocouple at a MAX31855 on SPI";
   static constexpr std::string_view notes = R"(
 - Pins: SO to MISO, SCK, CS; mode 0, `clock` to 5 MHz.
-- The letter at the end of the chip's name is the kind of its thermocouple.
-- It measures some ten times a second: a faster `rate` reads values twice.
-- An open thermocouple, and one that is shorted to ground or to the supply, is told and counted as unreadable. So are
-  answers of ones or of zeros, which mean that no chip answers; a chip with both ends at exactly 0 degrees sends the same.
+- The letter at the end of the chip's name is the type of its thermocouple.
+- It measures some ten times a second: a higher `rate` reads values twice.
+- An open thermocouple, or one that is shorted to ground or to the supply, is reported and counted as unreadable. So
+  are answers of only ones or only zeros, which mean that no chip answers; a chip with both ends at exactly 0 degrees
+  sends the same.
 )";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
@@ -70,7 +71,7 @@ class Max31855 {
       return Error{Errc::bad_data, "cannot read the MAX31855", "", why, advice};
     };
     if ((word & always_zero) != 0 || word == 0)
-      return refused(word == 0 ? "it gives zeros only: nothing answers" : "bits that are 0 are not: nothing answers",
+      return refused(word == 0 ? "it gives only zeros: no chip answers" : "bits that must be 0 are 1: no chip answers",
                      "check its wires and supply, `chip_select`, `mode` and `clock`");
     if ((word & 1) != 0) return refused("the thermocouple is open", "check its wires");
     if ((word & 2) != 0) return refused("the thermocouple is shorted to ground", "check its wires");

@@ -50,10 +50,11 @@ class Max31856 {
   static constexpr std::string_view description = "temperature of a thermocouple of any kind at a MAX31856 on SPI";
   static constexpr std::string_view notes = R"(
 - Pins: SDO to MISO, SDI to MOSI, SCK, CS; `mode` 1 or 3, `clock` to 5 MHz.
-- One measurement takes 0.23 s (`mains` of 60 Hz: 0.2 s), and 40 ms (33 ms) more for each further one of `average`:
-  `rate` to 4 Hz.
-- An open thermocouple, an input beyond the supply and a temperature out of range are told and counted as unreadable.
-- The settings are read back with each measurement: a chip that was reset, or is not there, is told.
+- One measurement takes 0.23 s (`mains` of 60 Hz: 0.2 s), and 40 ms (33 ms) more for each further measurement of
+  `average`: `rate` to 4 Hz.
+- An open thermocouple, an input beyond the supply and a temperature out of range are reported and counted as
+  unreadable.
+- The settings are read back with each measurement: a chip that was reset or is missing is reported.
 )";
   struct Config {
     Thermocouple thermocouple = Thermocouple::k;
@@ -61,13 +62,14 @@ class Max31856 {
     unsigned average = 1;  ///< measurements in each reading
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("thermocouple", &Config::thermocouple, "its kind",
+          parameter("thermocouple", &Config::thermocouple, "type of the thermocouple",
                     choices(value("b", Thermocouple::b), value("e", Thermocouple::e), value("j", Thermocouple::j),
                             value("k", Thermocouple::k), value("n", Thermocouple::n), value("r", Thermocouple::r),
                             value("s", Thermocouple::s), value("t", Thermocouple::t))),
-          parameter("mains", &Config::mains, "the interference that is filtered out",
+          parameter("mains", &Config::mains, "mains frequency, whose interference is filtered out",
                     choices(value("50 Hz", Mains::hz_50), value("60 Hz", Mains::hz_60))),
-          parameter("average", &Config::average, "measurements in each reading: 1, 2, 4, 8 or 16"));
+          parameter("average", &Config::average,
+                    "number of measurements that are averaged in a reading: 1, 2, 4, 8 or 16"));
     }
   };
   using Value = ThermocoupleReading;

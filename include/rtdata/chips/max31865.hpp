@@ -54,9 +54,8 @@ class Max31865 {
 - `reference_resistance` is printed on the board's resistor: 4300 or 430 is 430 Ohm, for a PT100; 4301 or 4.3k is
   4300 Ohm, for a PT1000. Boards have bridges to solder for 2, 3 and 4 wires.
 - One measurement takes 77 ms (`mains` of 60 Hz: 66 ms).
-- Open and shorted wires, and resistances that belong to no temperature from -200 to 850 degrees, are told and counted
-  as unreadable.
-- The settings are read back with each measurement: a chip that was reset, or is not there, is told.
+- Open and shorted wires, and resistances outside -200 to 850 degrees, are reported and counted as unreadable.
+- The settings are read back with each measurement: a chip that was reset or is missing is reported.
 )";
   struct Config {
     RtdElement element = RtdElement::pt100;
@@ -65,12 +64,13 @@ class Max31865 {
     Mains mains = Mains::hz_50;
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("element", &Config::element, "its resistance at 0 degrees: 100 or 1000 Ohm",
+          parameter("element", &Config::element, "the element, by its resistance at 0 degrees: 100 or 1000 Ohm",
                     choices(value("pt100", RtdElement::pt100), value("pt1000", RtdElement::pt1000))),
-          parameter("wires", &Config::wires, "to the element", range(2, 4)),
+          parameter("wires", &Config::wires, "number of wires to the element", range(2, 4)),
           parameter("reference_resistance", &Config::reference_resistance,
-                    "of the board's resistor; default: 430, for a PT1000 4300", unit("Ohm"), range(10, 100'000)),
-          parameter("mains", &Config::mains, "the interference that is filtered out",
+                    "resistance of the board's reference resistor; default: 430, for a PT1000 4300", unit("Ohm"),
+                    range(10, 100'000)),
+          parameter("mains", &Config::mains, "mains frequency, whose interference is filtered out",
                     choices(value("50 Hz", Mains::hz_50), value("60 Hz", Mains::hz_60))));
     }
   };
@@ -161,12 +161,14 @@ class Max31865 {
     if ((fault & 0x08) != 0) return refused(Errc::bad_data, "the wire RTDIN- is open or shorted");
     if ((fault & 0xc0) != 0 || (registers[2] & 1) != 0)
       return refused(Errc::bad_data, "it reports a fault of the element");
-    if (code == 0x7fff) return refused(Errc::out_of_range, "the resistance is that of the reference, or above");
+    if (code == 0x7fff)
+      return refused(Errc::out_of_range, "the resistance is as large as the reference resistance, or larger");
     const double resistance = code * reference_of(config) / 32768;
     const double ratio = resistance / (config.element == RtdElement::pt100 ? 100 : 1000);
     const std::optional<double> temperature = temperature_of(ratio);
     if (!temperature)
-      return Error{Errc::out_of_range, what, "", std::to_string(resistance) + " Ohm is outside -200 to 850 degrees",
+      return Error{Errc::out_of_range, what, "",
+                   std::to_string(resistance) + " Ohm is outside the range of -200 to 850 degrees",
                    "check its wires, `element` and `reference_resistance`"};
     return RtdReading{*temperature, resistance};
   }

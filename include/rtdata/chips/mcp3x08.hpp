@@ -48,11 +48,11 @@ class Mcp3x08 {
   static constexpr std::string_view description = "voltages by an MCP3008 or MCP3208 on SPI";
   static constexpr std::string_view notes = R"(
 - Pins: DOUT to MISO, DIN to MOSI, CLK, CS; mode 0 or 3, `clock` to 1 MHz at 2.7 V, 2 MHz (MCP3008: 3.6 MHz) at 5 V.
-- `input` is 0 to 7 (against ground) or one of the pairs 0-1, 1-0, 2-3, 3-2, 4-5, 5-4, 6-7 and 7-6: the first less the
+- `input` is 0 to 7 (against ground) or one of the pairs 0-1, 1-0, 2-3, 3-2, 4-5, 5-4, 6-7 and 7-6: the first minus the
   second, which must not be above the first.
 - Each channel is a field (`ain0`, `ain2_ain3` unless it has a `name`).
-- A chip that is not there reads as ones, which is told. With the data line at ground it reads as 0 V, which cannot be
-  told.
+- A missing chip reads as ones, which is reported. If the data line is at ground, it reads as 0 V, which cannot be
+  detected.
 )";
 
   struct Channel {
@@ -60,7 +60,7 @@ class Mcp3x08 {
     std::string input = "0";  ///< "0" to "7", "0-1", "1-0", "2-3" ...
     friend constexpr auto parameters(type_tag<Channel>) {
       return parameter_list(
-          parameter("name", &Channel::name, "of its field; default: by the input, such as ain0", TextIs::field),
+          parameter("name", &Channel::name, "name of the field; default: from the input, such as ain0", TextIs::field),
           parameter(
               "input", &Channel::input,
               "one input against ground (0), or the difference of two (0-1: input 0 minus input 1)",
@@ -73,10 +73,12 @@ class Mcp3x08 {
     double reference_voltage = 3.3;  ///< V at the pin VREF: full scale, one more than the highest code
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("channels", &Config::channels, "what to convert, in this order; none: each input against ground"),
+          parameter("channels", &Config::channels,
+                    "inputs to convert, in this order; empty: each input against ground"),
           parameter("model", &Config::model, "which chip it is",
                     choices(value("mcp3008", AdcModel::mcp3008), value("mcp3208", AdcModel::mcp3208))),
-          parameter("reference_voltage", &Config::reference_voltage, "at the pin VREF", unit("V"), range(0.25, 7.0)));
+          parameter("reference_voltage", &Config::reference_voltage, "voltage at the pin VREF", unit("V"),
+                    range(0.25, 7.0)));
     }
   };
   using Value = Voltages;
@@ -116,7 +118,7 @@ class Mcp3x08 {
       const std::optional<std::uint16_t> code = decode(config_.model, answers[i]);
       if (!code)
         return Unreadable{chip.error(Errc::bad_data, "cannot read the converter",
-                                     detail::field_of(config_.channels[i]) + " has no null bit: nothing answers",
+                                     detail::field_of(config_.channels[i]) + " has no null bit: no chip answers",
                                      "check its wires and supply, `chip_select`, `mode`, `clock`, and `model`")};
       reading.voltages[i] = *code * step;
     }

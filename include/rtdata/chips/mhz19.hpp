@@ -37,10 +37,10 @@ class MhZ19 {
   static constexpr std::string_view description = "CO2 of a Winsen MH-Z19 on a serial line";
   static constexpr std::string_view notes = R"(
 - Wiring: 5 V, ground, its TX to the board's RX, its RX to TX (3.3 V levels). The bus is a `serial` one with 9600 Bd.
-- It has no address: one on a line.
-- It measures anew every 2 s at most: `"rate": "0.2 Hz"` is plenty.
-- It needs 3 minutes after switching on. Values of that time are wrong: 0 ppm is counted as unreadable, others the chip
-  does not mark.
+- It has no address: connect only one to a line.
+- It measures at most every 2 s: `"rate": "0.2 Hz"` is enough.
+- It needs 3 minutes after switching on. Values of this time are wrong: 0 ppm is counted as unreadable; the chip does
+  not mark the other values.
 )";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
@@ -61,8 +61,9 @@ class MhZ19 {
     std::array<std::uint8_t, 9> answer{};
     if (auto done = line.transact(request, answer); !done) return std::move(done).error();
     if (answer == request)
-      return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", "it echoes the request",
-                                   "switch off the echo of the adapter, or check whether its RX and TX are joined")};
+      return Unreadable{line.error(
+          Errc::bad_data, "cannot read the MH-Z19", "it echoes the request",
+          "switch off the echo of the adapter, or check that its RX and TX are not connected to each other")};
     Result<Co2Reading> reading = decode(answer);
     if (!reading) {
       const Error& e = reading.error();
@@ -86,7 +87,7 @@ class MhZ19 {
     if (answer[8] != checksum(answer)) return refuse("the checksum of its answer is wrong");
     if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this is not the answer to the request");
     const unsigned ppm = static_cast<unsigned>(answer[2]) << 8 | answer[3];
-    if (ppm == 0) return refuse("it says 0 ppm, as while it warms up: no air has so little");
+    if (ppm == 0) return refuse("it reports 0 ppm, as it does while it warms up");
     if (ppm > most) return refuse(std::to_string(ppm) + " ppm is outside its range, 0 to 10000 ppm");
     return Co2Reading{static_cast<double>(ppm)};
   }

@@ -52,12 +52,12 @@ class Nau7802 {
   static constexpr std::string_view description = "a load cell or another bridge at a NAU7802 on I2C";
   static constexpr std::string_view notes = R"(
 - Address 0x2a. Connect the bridge's supply to AVDD and ground (E+, E-), its output to VIN1P and VIN1N (A+, A-).
-- `supply_voltage` is what the chip makes for the bridge; it must be 0.3 V below the supply of the chip.
-- `value` is in mV/V, as load cells are specified: scale it by their full load over their sensitivity. The range to both
-  sides is 500 mV/V over `gain`.
-- With `tare_samples`, the average of the first so many samples is taken off. It is the field `tare`, and is taken once
-  in the life of the sensor.
-- A `rate` above `data_rate` brings nothing new.
+- `supply_voltage` is the voltage that the chip makes for the bridge; it must be 0.3 V below the supply of the chip.
+- `value` is in mV/V, as load cells are specified: the `scale` is their full load divided by their sensitivity. The
+  range is plus or minus 500 mV/V divided by `gain`.
+- With `tare_samples`, the mean of this number of first samples is subtracted. It is the field `tare`, and is measured
+  once in the life of the sensor.
+- A `rate` above `data_rate` gives no new values.
 )";
   struct Config {
     unsigned gain = 128;
@@ -67,12 +67,13 @@ class Nau7802 {
     std::optional<IdentityCode> identity{};  ///< of a clone
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("gain", &Config::gain, "1, 2, 4, 8, 16, 32, 64 or 128: its range is 500 mV/V over it"),
-          parameter("data_rate", &Config::data_rate, "samples a second: 10, 20, 40, 80 or 320", unit("Hz")),
+          parameter("gain", &Config::gain,
+                    "1, 2, 4, 8, 16, 32, 64 or 128; the measuring range is 500 mV/V divided by the gain"),
+          parameter("data_rate", &Config::data_rate, "samples per second: 10, 20, 40, 80 or 320", unit("Hz")),
           parameter("supply_voltage", &Config::supply_voltage,
-                    "that it gives to the bridge: 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.2 or 4.5", unit("V")),
-          parameter("tare_samples", &Config::tare_samples, "the average of the first so many is taken off; 0: none",
-                    range(0, 100'000)),
+                    "voltage that the chip gives to the bridge: 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.2 or 4.5", unit("V")),
+          parameter("tare_samples", &Config::tare_samples,
+                    "number of first samples whose mean is subtracted as the tare; 0: no tare", range(0, 100'000)),
           identity_parameter(&Config::identity));
     }
   };
@@ -172,7 +173,7 @@ class Nau7802 {
     if (auto done = chip.read_registers(data_register, bytes); !done) return std::move(done).error();
     const std::int32_t code = decode(bytes);
     if (code >= most || code <= -most - 1)
-      return Unreadable{chip.error(Errc::out_of_range, what, "the bridge is at the end of its range",
+      return Unreadable{chip.error(Errc::out_of_range, what, "the signal of the bridge is at the end of the range",
                                    "check its wires, or choose a smaller `gain`")};
     return tared(code);
   }
@@ -200,7 +201,8 @@ class Nau7802 {
     }
     if ((settings[2] & calibration_failed) != 0) {
       step_ = Step::settling;
-      return chip.error(Errc::bad_data, what, "its calibration has failed", "check its supply, and the bridge's");
+      return chip.error(Errc::bad_data, what, "its calibration has failed",
+                        "check the supply of the chip and of the bridge");
     }
     std::array<std::uint8_t, 3> of_before{};  // discards a sample from before the calibration
     if (auto done = chip.read_registers(data_register, of_before); !done) return std::move(done).error();

@@ -4,11 +4,11 @@
 ///
 /// The chip measures by itself, every 5 s; a tick reads what is new. A tick before that is counted as repeated; no
 /// measurement for 15 s is an error. All words have a checksum: a reading with a wrong one is unreadable, and so is one
-/// of 0 ppm, by which the chip says that the sample is not valid. Ranges: 0 to 40000 ppm (specified: SCD40 400 to 2000,
-/// SCD41 to 5000), -45 to 130 degrees, 0 to 100 %.
+/// of 0 ppm, which means that the sample is not valid. Ranges: 0 to 40000 ppm (specified: SCD40 400 to 2000, SCD41 to
+/// 5000), -45 to 130 degrees, 0 to 100 %.
 ///
-/// The opening stops a measurement that goes on, for which the chip has 0.5 s and the driver holds the bus, reads the
-/// serial number, whose checksums tell another chip, and writes the altitude. Address: 0x62.
+/// Opening stops a running measurement (0.5 s, while the driver holds the bus), reads the serial number, whose
+/// checksums show whether it is another chip, and writes the altitude. Address: 0x62.
 ///
 /// Source: Sensirion SCD4x, data sheet V1.3 of September 2022: 3.4 commands and their times, 3.5 measurement, 3.6
 /// altitude, 3.8 data ready, 3.9 serial number.
@@ -47,19 +47,20 @@ class Scd4x {
   static constexpr std::string_view description = "CO2, temperature and humidity of an SCD40 or SCD41 on I2C";
   static constexpr std::string_view notes = R"(
 - Wires: 3.3 V (in a measurement 0.2 A for a moment), ground, SDA, SCL. One address: 0x62.
-- It measures every 5 s by itself: `"rate": "1 Hz"` or less. A reading before the chip has measured anew is counted as
+- It measures every 5 s by itself: `"rate": "1 Hz"` or less. A reading before the next measurement is counted as
   repeated.
-- Set `altitude` where the air is thin: 500 m make 6 % of the CO2.
-- The chip corrects itself by taking the least CO2 of some days for that of fresh air (its automatic self-calibration).
+- Set `altitude` in the mountains: 500 m change the CO2 value by 6 %.
+- The chip corrects itself: it assumes that the least CO2 of some days is that of fresh air (automatic
+  self-calibration).
 - The first values after switching on are less accurate; the chip does not mark them. 0 ppm is counted as unreadable.
-- At each start it takes the bus for 0.5 s.
+- At each start it holds the bus for 0.5 s.
 )";
   struct Config {
     double altitude = 0;  ///< m above the sea, for the pressure of the air
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(parameter("altitude", &Config::altitude,
-                                      "of the chip above the sea, by which it knows the pressure of the air", unit("m"),
-                                      range(0, 3000)));
+                                      "height of the chip above sea level, from which it computes the air pressure",
+                                      unit("m"), range(0, 3000)));
     }
   };
   using Value = Scd4xReading;
@@ -128,7 +129,7 @@ class Scd4x {
   /// `words`: the answer to `read_measurement`. Errors: bad-data (the sample is not valid).
   static Result<Scd4xReading> decode(const std::array<std::uint16_t, 3>& words) {
     if (words[0] == 0)
-      return Error{Errc::bad_data, what, "", "it says 0 ppm: the sample is not valid", "wait for the next one"};
+      return Error{Errc::bad_data, what, "", "it reports 0 ppm: the sample is not valid", "wait for the next one"};
     return Scd4xReading{static_cast<double>(words[0]), -45 + 175 * (words[1] / 65535.0), 100 * (words[2] / 65535.0)};
   }
 

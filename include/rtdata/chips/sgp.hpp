@@ -4,18 +4,18 @@
 ///                                             {.temperature = 21, .humidity = 45});
 ///
 /// An SGP30 gives a CO2 equivalent and the sum of volatile organic compounds (TVOC), both from its own baseline, and
-/// the two raw signals that it makes them of. It needs one reading a second: `"rate": "1 Hz"`. For 15 s after each
-/// opening the chip gives fixed numbers in place of both; these events have the raw signals only. The baseline begins
-/// anew with each opening.
+/// the two raw signals from which it computes them. It needs one reading a second: `"rate": "1 Hz"`. For 15 s after
+/// each opening the chip gives fixed numbers in place of both; these events have the raw signals only. The baseline
+/// begins anew with each opening.
 ///
 /// An SGP40 gives its raw signal, which falls when there is more gas: it is proportional to the logarithm of a
-/// resistance, in steps without a unit. The temperature and humidity of the air, for which the chip corrects it, are
-/// set by hand; Sensirion's VOC index is not computed.
+/// resistance, in steps without a unit. The chip corrects it for the temperature and humidity of the air, which are
+/// settings; Sensirion's VOC index is not computed.
 ///
 /// Each tick starts the measurement and reads it when the chip has had its time (SGP30: 12 ms, then 25 ms; SGP40: 30
-/// ms); the bus is free for others meanwhile. All words have a checksum: a reading with a wrong one is unreadable. The
-/// opening reads the serial number, whose checksums tell another chip, and of an SGP30 the product type. Addresses:
-/// 0x58 (SGP30), 0x59 (SGP40).
+/// ms); the bus is free for others meanwhile. All words have a checksum: a reading with a wrong one is unreadable.
+/// Opening reads the serial number, whose checksums show whether it is another chip, and for an SGP30 the product type.
+/// Addresses: 0x58 (SGP30), 0x59 (SGP40).
 ///
 /// Sources: Sensirion SGP30, data sheet V1.0 of May 2020: "air quality signals", "sensor raw signals", "feature set",
 /// table 10 commands and times. SGP40, data sheet V1.0 of July 2020: tables 9 to 11 measurement; serial number.
@@ -43,7 +43,7 @@ namespace rtdata {
 struct Sgp30Reading {
   std::optional<double> co2_equivalent{};  ///< empty: the chip warms up
   std::optional<double> tvoc{};            ///< empty: the chip warms up
-  double hydrogen_signal = 0;              ///< steps; 512 less make e times the concentration
+  double hydrogen_signal = 0;              ///< steps; 512 less mean e times the concentration
   double ethanol_signal = 0;
   friend constexpr auto describe(type_tag<Sgp30Reading>) {
     return record("sgp30", field("co2_equivalent", &Sgp30Reading::co2_equivalent, "[ppm]"),
@@ -92,11 +92,11 @@ class Sgp30 {
   static constexpr std::string_view description = "CO2 equivalent and TVOC of an SGP30 on I2C";
   static constexpr std::string_view notes = R"(
 - Wires: 1.8 V (boards mostly take 3.3 V), ground, SDA, SCL. One address: 0x58.
-- `"rate": "1 Hz"`: the chip's own baseline needs one reading a second, no more and no less.
-- For 15 s after each start `co2_equivalent` and `tvoc` are absent; they are right some hours later. Its baseline is
-  not kept: each start begins anew.
+- `"rate": "1 Hz"`: the chip's own baseline needs exactly one reading per second.
+- For 15 s after each start `co2_equivalent` and `tvoc` are absent; they are correct some hours later. The baseline is
+  not stored: it is lost at each start.
 - `co2_equivalent` is computed from hydrogen, not measured: for CO2 take an SCD4x.
-- A reading takes 37 ms, and leaves the bus to others meanwhile.
+- A reading takes 37 ms, during which the bus is free for other chips.
 )";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
@@ -189,19 +189,19 @@ class Sgp40 {
 - Wires: 3.3 V, ground, SDA, SCL. One address: 0x59.
 - `signal` is in steps, proportional to the logarithm of the sensor's resistance: it falls when there is more gas. The
   VOC index of Sensirion, 0 to 500, is not computed.
-- `temperature` and `humidity` of the air, for which the chip corrects the signal, are what the configuration says.
+- The chip corrects the signal for `temperature` and `humidity` of the air, which the configuration sets.
 - `"rate": "1 Hz"`: between readings the chip keeps its heater on. It is switched off when the sensor stops. A reading
-  takes 30 ms, and leaves the bus to others meanwhile.
-- It needs a minute to warm up, and days to settle; the chip does not mark the values of that time.
+  takes 30 ms, during which the bus is free for other chips.
+- It needs a minute to warm up, and days to settle; the chip does not mark the values of this time.
 )";
   struct Config {
     double temperature = 25;  ///< degrees Celsius, of the air
     double humidity = 50;     ///< %, of the air
     friend constexpr auto parameters(type_tag<Config>) {
-      return parameter_list(
-          parameter("temperature", &Config::temperature, "of the air, for the chip's correction", unit("Cel"),
-                    range(-45, 130)),
-          parameter("humidity", &Config::humidity, "of the air, for the chip's correction", unit("%"), range(0, 100)));
+      return parameter_list(parameter("temperature", &Config::temperature, "air temperature, for the chip's correction",
+                                      unit("Cel"), range(-45, 130)),
+                            parameter("humidity", &Config::humidity, "relative air humidity, for the chip's correction",
+                                      unit("%"), range(0, 100)));
     }
   };
   using Value = Sgp40Reading;

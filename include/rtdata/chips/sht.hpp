@@ -47,8 +47,10 @@ class Sht {
   static constexpr std::string_view description = "temperature and humidity of an SHT3x or SHT4x on I2C";
   static constexpr std::string_view notes = R"(
 - Addresses: SHT3x 0x44, with the pin ADDR at the supply 0x45; SHT4x 0x44, 0x45 or 0x46 by its type.
-- One measurement takes 16 ms (SHT4x: 9 ms), and leaves the bus to others meanwhile. More than two a second warm the chip.
-- Each number has a checksum. So has the answer at opening, by which another chip, or the other model, is told.
+- One measurement takes 16 ms (SHT4x: 9 ms), during which the bus is free for other chips. More than two measurements
+  per second warm the chip.
+- Each number has a checksum. The answer at opening has one too; it shows whether this is another chip or the other
+  model.
 )";
   struct Config {
     ShtModel model = ShtModel::sht3x;

@@ -7,8 +7,8 @@
 /// words have a checksum: a reading with a wrong one is unreadable, and so is one during which the chip reports that
 /// its laser or its fan fails (of firmware 2.2 and newer). Ranges: mass 0 to 1000 ug/m3, number 0 to 3000 /cm3.
 ///
-/// The opening reads the firmware's version, whose checksum tells another chip, and starts fan and laser, which stop
-/// when the sensor stops. Address: 0x69.
+/// Opening reads the version of the firmware, whose checksum shows whether it is another chip, and starts fan and
+/// laser, which stop when the sensor stops. Address: 0x69.
 ///
 /// Source: Sensirion SPS30, data sheet V1.0 of March 2020: 4.1 and 4.2 start and stop, 4.3 data ready, 4.4 values,
 /// "device status register", 6.1 and 6.2 commands and checksum.
@@ -55,11 +55,11 @@ class Sps30 {
   static constexpr std::string_view description = "particles in the air (PM1, PM2.5, PM4, PM10) of an SPS30 on I2C";
   static constexpr std::string_view notes = R"(
 - Wires: 5 V, ground, SDA, SCL (3.3 V levels), the pin SEL to ground. One address: 0x69. To 100 kHz.
-- It measures once a second by itself. A reading before the chip has measured anew is counted as repeated.
-- `mass_2_5` is PM2.5. Each field is of the particles from 0.3 um up to that size.
+- It measures once a second by itself. A reading before the next measurement is counted as repeated.
+- `mass_2_5` is PM2.5. Each field counts the particles from 0.3 um up to its size.
 - After a start it needs 8 s, in clean air 30 s, for its full accuracy; the chip does not mark the values of that time.
 - Once a week its fan cleans itself for 10 s, without a new value.
-- Firmware 2.2 and newer reports a laser or a fan that fails: readings are counted as unreadable then.
+- Firmware 2.2 and newer reports a laser or a fan that fails: its readings are then counted as unreadable.
 )";
   struct Config {
     friend constexpr auto parameters(type_tag<Config>) { return parameter_list(); }
@@ -116,7 +116,8 @@ class Sps30 {
       if (!words) return unreadable(chip, "a checksum is wrong", "check its wires");
       const auto flags = static_cast<std::uint32_t>((*words)[0]) << 16 | (*words)[1];
       if ((flags & laser_fails) != 0) return unreadable(chip, "its laser fails", "the chip is damaged, or too warm");
-      if ((flags & fan_fails) != 0) return unreadable(chip, "its fan does not turn", "clean it; else it is damaged");
+      if ((flags & fan_fails) != 0)
+        return unreadable(chip, "its fan does not turn", "clean it; if that does not help, it is damaged");
       if ((flags & fan_off_speed) != 0)
         return unreadable(chip, "its fan turns too fast or too slowly", "check its supply of 5 V; let it warm up");
     }
@@ -136,7 +137,7 @@ class Sps30 {
     for (std::size_t i = 0; i < numbers.size(); ++i) {
       numbers[i] = std::bit_cast<float>(static_cast<std::uint32_t>(words[2 * i]) << 16 | words[2 * i + 1]);
       if (!(numbers[i] >= 0) || std::isinf(numbers[i]))
-        return Error{Errc::bad_data, what, "", "it gives a number that is no amount of particles",
+        return Error{Errc::bad_data, what, "", "it gives a number that cannot be an amount of particles",
                      "switch it off and on"};
     }
     return ParticleReading{numbers[0], numbers[1], numbers[2], numbers[3], numbers[4],

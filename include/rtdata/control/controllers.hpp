@@ -1,6 +1,6 @@
 /// Hysteresis, Pid: controllers, for the keys `hysteresis` and `pid` of an output.
 ///
-/// Values without a loop; one thread at a time. They take no memory and throw nothing.
+/// Values without a loop; one thread at a time. They allocate no memory and throw nothing.
 #pragma once
 
 #include <algorithm>
@@ -15,17 +15,18 @@
 namespace rtdata {
 
 struct HysteresisConfig {
-  double on = 0;   ///< if greater than `off`: on from here up; if less: on from here down
-  double off = 0;  ///< off from here, in the other direction
+  double on = 0;   ///< switches on here: when rising if `on` > `off`, when falling if `on` < `off`
+  double off = 0;  ///< switches off here, in the other direction
 
   friend constexpr auto parameters(type_tag<HysteresisConfig>) {
     return parameter_list(
-        parameter("on", &HysteresisConfig::on, "above `off`: on from here up; below it: on from here down", required),
-        parameter("off", &HysteresisConfig::off, "off from here, the other way", required));
+        parameter("on", &HysteresisConfig::on,
+                  "switch on at this value: when rising if `on` > `off`, when falling if `on` < `off`", required),
+        parameter("off", &HysteresisConfig::off, "switch off at this value, in the other direction", required));
   }
   friend void check_config(const HysteresisConfig& config, const ConfigItem& item, Problems& problems) {
     if (config.on == config.off)
-      problems.add(item.problem("bad-value", "`on` and `off` are the same, so that any noise would switch it"));
+      problems.add(item.problem("bad-value", "`on` and `off` are the same: any noise would switch the output"));
   }
 };
 
@@ -62,7 +63,7 @@ class Hysteresis {
 
 struct PidConfig {
   double setpoint = 0;
-  double kp = 0;  ///< output per unit of the measured value
+  double kp = 0;  ///< output for each unit of difference
   double ki = 0;  ///< the same, a second
   double kd = 0;  ///< output per unit a second
   double least = 0;
@@ -72,17 +73,21 @@ struct PidConfig {
   friend constexpr auto parameters(type_tag<PidConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("setpoint", &PidConfig::setpoint, "what the measured value is to become", required),
-        parameter("kp", &PidConfig::kp, "proportional gain: output per unit; negative where more output makes it less"),
-        parameter("ki", &PidConfig::ki, "integral gain: output per unit and second"),
-        parameter("kd", &PidConfig::kd, "derivative gain: output per unit a second, of the measured value"),
+        parameter("setpoint", &PidConfig::setpoint, "value that the measured value should reach", required),
+        parameter(
+            "kp", &PidConfig::kp,
+            "proportional gain: output for each unit of difference; negative if more output lowers the measured value"),
+        parameter("ki", &PidConfig::ki, "integral gain: change of the output per second, for each unit of difference"),
+        parameter("kd", &PidConfig::kd,
+                  "derivative gain: output for a measured value that changes by one unit per second"),
         parameter("least", &PidConfig::least, "least output"), parameter("most", &PidConfig::most, "largest output"),
         parameter("derivative_filter", &PidConfig::derivative_filter,
-                  "time constant of the low pass before the derivative; 0: none", range(Duration{0}, Duration{1h})));
+                  "time constant of the low-pass filter before the derivative; 0: no filter",
+                  range(Duration{0}, Duration{1h})));
   }
   friend void check_config(const PidConfig& config, const ConfigItem& item, Problems& problems) {
     if (!(config.least < config.most))
-      problems.add(item.problem("bad-value", "`least` is not below `most`: there is nothing to control with"));
+      problems.add(item.problem("bad-value", "`least` is not below `most`: the output would have no range"));
     if (config.kp == 0 && config.ki == 0 && config.kd == 0)
       problems.add(item.problem("bad-value", "all gains are 0: give `kp`, `ki` or `kd`"));
   }
@@ -94,15 +99,15 @@ struct PidConfig {
 ///     output.set(pid.update(temperature, event.time()));
 ///
 /// output = kp * error + integral of (ki * error) - kd * rate of the measured value, with error = setpoint - measured,
-/// held between `least` and `most`. Gains are negative where more output makes the measured value less.
+/// held between `least` and `most`. Gains are negative if more output lowers the measured value.
 ///
-///   - The derivative is that of the measured value, so that a change of the set point gives it no kick, behind a low
-///     pass of first order with the time constant `derivative_filter`.
-///   - Anti-windup: while the output is at a limit, the integral takes in nothing that would push it further.
-///   - Bumpless, where there is an integral (`ki` is not 0): `set_gains` and `change` change nothing at that moment;
-///     `follow` says what the actuator really has (by hand, at its safe value), and the first `update` after it goes on
-///     from there. The integral takes up the difference. A controller without one would keep that difference for ever:
-///     its output is always what the formula says.
+///   - The derivative is that of the measured value, so that a change of the set point causes no jump. Before it is a
+///     first-order low-pass filter with the time constant `derivative_filter`.
+///   - Anti-windup: while the output is at a limit, the integral does not grow further in this direction.
+///   - Bumpless, if there is an integral (`ki` is not 0): `set_gains` and `change` change nothing at that moment;
+///     `follow` gives the real value of the actuator (set by hand, or its safe value), and the first `update` after it
+///     continues from there. The integral absorbs the difference. A controller without an integral would keep the
+///     difference for ever: its output always follows the formula.
 ///
 /// `time` gives the time between two updates, whatever the rate. A `time` not later than the last counts as no time
 /// passed; of updates closer than `one_instant`, the last one counts. The first update has no integral and no
@@ -168,7 +173,7 @@ class Pid {
     change(next);
   }
   /// Changes any settings, including the set point, at the next update, without a jump of the output. An output at a
-  /// limit leaves it as soon as the formula says so: the integral does not store the difference there.
+  /// limit leaves it as soon as the formula gives another value: the integral does not store the difference there.
   void change(const Config& next) noexcept {
     const double was = integral_;
     const bool is_held = output_ <= config_.least || output_ >= config_.most;

@@ -25,7 +25,7 @@
 /// States and transitions may be added and removed at any time, also in actions and conditions; a state that the
 /// machine is in, or is going to, or goes to after failures, cannot be removed.
 ///
-/// Nothing is allocated when events are taken in and states change. When the loop drains, the machine stands still.
+/// Nothing is allocated while events are handled and states change. When the loop drains, the machine stands still.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Errors: SetupError (bad-argument, bad-name,
 /// not-found, busy). Calls on a closed machine do nothing.
@@ -76,7 +76,7 @@ struct Graph {
   std::size_t start = none;  ///< index in `states`
 };
 
-/// A mistake, and the state or transition it is of.
+/// A mistake, and its state or transition.
 struct GraphFault {
   enum class Kind {
     no_start,     ///< there is no start state
@@ -172,8 +172,8 @@ struct StateConfig {
 struct Transition {
   std::string from;
   std::string to;
-  /// The named event that it waits for. Empty: it is tried with every event of an input and after `after`, and not with
-  /// named events.
+  /// The named event at which it is tried. Empty: it is tried with every event of an input and after `after`, but not
+  /// with named events.
   std::string on = {};
   Condition when = {};
   /// `when` must have been true for this long: at one event, at each later event, and at an event that comes at least
@@ -186,7 +186,7 @@ struct Transition {
 };
 
 struct MachineCounts {
-  std::uint64_t events = 0;       ///< of inputs, named ones, and of time, that were taken in
+  std::uint64_t events = 0;       ///< events that were handled: of inputs, named ones, and of time
   std::uint64_t transitions = 0;  ///< without the start
   std::uint64_t ignored = 0;      ///< named events that no transition of the state waited for
   std::uint64_t dropped = 0;      ///< named events raised while `Machine::max_waiting` were waiting
@@ -245,7 +245,7 @@ class Machine : public Handle {
   /// With the transitions to and from it. SetupError: the machine is in it, or on the way to it (busy).
   void remove_state(std::string_view name);
   void add_transition(Transition transition);
-  /// All from the one to the other. Returns how many.
+  /// Removes all transitions from one state to another. Returns their number.
   std::size_t remove_transitions(std::string_view from, std::string_view to);
 
   /// Goes to the start state, or to the given one, and runs its `arrive`. SetupError (not-found) if there is no such

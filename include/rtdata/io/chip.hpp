@@ -1,5 +1,5 @@
-/// KnownChip, ChipSample: what a driver states of the chips that it is for. `rtdata scan` finds chips by it,
-/// `rtdata types` and docs/chips.md show it, and tests try the driver on a chip that is made of it.
+/// KnownChip, ChipSample: the chips of a driver, as data. `rtdata scan` finds chips with them, `rtdata types` and
+/// docs/chips.md show them, and tests run the driver on a fake chip that is made from them.
 ///
 ///     class Thermometer {                                     // a driver (driver.hpp)
 ///       static constexpr rtdata::KnownChip chips[] = {
@@ -22,7 +22,7 @@ namespace rtdata {
 
 struct RegisterAddressing;
 
-/// What tells which chip it is: a register of 8 bits, or up to three of them or a word, the highest byte first.
+/// The identity of a chip: a register of 8 bits, or up to three of them or a word, the highest byte first.
 /// `check_identity` (identity.hpp) compares it.
 struct ChipIdentity {
   std::uint8_t number = 0;  ///< of the first register
@@ -34,10 +34,10 @@ struct ChipIdentity {
 
 /// A chip that a driver can be set to.
 struct KnownChip {
-  std::string_view name;                       ///< "BMP280", as messages have it
+  std::string_view name;                       ///< "BMP280", as in messages
   std::string_view model = {};                 ///< the value of the parameter `model`; empty: its default, or none
-  std::array<std::uint8_t, 8> addresses = {};  ///< on I2C, those at which it mostly is; 0: no more
-  std::optional<ChipIdentity> identity = {};   ///< none: nothing but its address tells of it
+  std::array<std::uint8_t, 8> addresses = {};  ///< on I2C: its usual addresses; 0: no more
+  std::optional<ChipIdentity> identity = {};   ///< none: only its address shows it
   constexpr bool is_at(unsigned address) const noexcept {
     for (const std::uint8_t one : addresses)
       if (one != 0 && one == address) return true;
@@ -53,11 +53,11 @@ constexpr std::array<KnownChip, count> chips_of(const Model (&models)[count]) {
   return chips;
 }
 
-/// How the chip of a sample is talked to.
+/// How the chip of a sample is accessed.
 enum class ChipWires {
-  registers,                 ///< of 8 bits, on SPI read with bit 7; reading and writing go on to the next ones
+  registers,                 ///< of 8 bits, on SPI read with bit 7; the register number increments
   registers_with_write_bit,  ///< of 8 bits on SPI, written with bit 7
-  word_registers,            ///< of 16 bits, the high byte first; reading stays at one
+  word_registers,            ///< of 16 bits, the high byte first; the register number does not increment
   answers,                   ///< a request, and its answer
 };
 
@@ -75,13 +75,13 @@ struct ChipValue {
   double value = 0;
 };
 
-/// A chip that works, what it gives, and what that means: best the example of its data sheet.
+/// A working chip: the bytes that it gives and the values that they mean, best the example of its data sheet.
 struct ChipSample {
   std::string_view members = {};  ///< of the sensor's item in a configuration, beside its place: R"("model": "bme280")"
   ChipWires wires = ChipWires::registers;
-  std::array<ChipBytes, 8> bytes = {};             ///< none: the sample is of the configuration only
-  std::array<ChipValue, 4> values = {};            ///< of every event
-  bool has_proof = false;                          ///< by identity, checksum or settings: zeros and ones are no values
+  std::array<ChipBytes, 8> bytes = {};   ///< none: the sample belongs to the configuration only
+  std::array<ChipValue, 4> values = {};  ///< of every event
+  bool has_proof = false;                ///< by identity, checksum or settings: only zeros or only ones are not values
   const RegisterAddressing* addressing = nullptr;  ///< of a driver that says it (registers.hpp); null: the usual one
 };
 

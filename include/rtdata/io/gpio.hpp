@@ -7,7 +7,7 @@
 ///
 /// A line is named by its name ("GPIO17", as the board calls it), by its number on the chip (17), or by both
 /// ("gpiochip0:17"). A bare number needs `chip`, or a machine that has a single chip; a name that several chips have
-/// needs `chip` too. The errors list what there is. Chips are named as their file is, or by their label
+/// needs `chip` too. The errors list the chips or lines. A chip is named by its file, or by its label
 /// ("pinctrl-bcm2711").
 ///
 /// Levels are logical: 1 is active, which is high unless `active_low`. An edge that rises makes the line active.
@@ -25,9 +25,8 @@
 /// A line has one user: the object holds it until it is closed. Closing sets an output to `safe`, if given, before it
 /// releases the line. After that the chip decides the level of the line; most chips keep it.
 ///
-/// Errors: not-found (no such chip or line), bad-argument (it is not clear which one; settings that the chip cannot
-/// do), not-permitted (group `gpio`), busy (somebody has the line: the error says who), disconnected (the chip is
-/// gone).
+/// Errors: not-found (no such chip or line), bad-argument (ambiguous; settings that the chip does not support),
+/// not-permitted (group `gpio`), busy (the line is in use: the error names the user), disconnected (the chip is gone).
 ///
 /// Owner: the holder. Thread: GpioLine: one at a time; GpioEdges: the loop's (rules: handle.hpp).
 #pragma once
@@ -93,7 +92,7 @@ constexpr auto describe(type_tag<GpioDrive>) {
 /// A line that is read.
 struct GpioInput {
   GpioLineName line = {};
-  std::string chip = {};  ///< "gpiochip0", "/dev/gpiochip0" or its label; empty: the one that has the line
+  std::string chip = {};  ///< "gpiochip0", "/dev/gpiochip0" or its label; empty: the chip that has the line
   GpioBias bias = GpioBias::as_is;
   bool active_low = false;
   GpioEdgeKind edges = GpioEdgeKind::both;  ///< which edges count; for GpioEdges only, like `debounce`
@@ -103,13 +102,16 @@ struct GpioInput {
   friend constexpr auto parameters(type_tag<GpioInput>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("line", &GpioInput::line, "its name (\"GPIO17\"), its number on the chip (17), or \"gpiochip0:17\"",
-                  required),
-        parameter("chip", &GpioInput::chip, "its chip, such as gpiochip0; empty: the one that has the line"),
-        parameter("bias", &GpioInput::bias, "the resistor in the chip"),
+        parameter(
+            "line", &GpioInput::line,
+            "name of the line (\"GPIO17\"), its number on the chip (17), or both chip and number (\"gpiochip0:17\")",
+            required),
+        parameter("chip", &GpioInput::chip, "chip of the line, such as gpiochip0; empty: the chip that has the line"),
+        parameter("bias", &GpioInput::bias, "pull-up or pull-down resistor in the chip"),
         parameter("active_low", &GpioInput::active_low, "the line is active when it is low"),
-        parameter("edges", &GpioInput::edges, "which of them count: a rising one makes the line active"),
-        parameter("debounce", &GpioInput::debounce, "a shorter level is ignored; 0: every edge counts",
+        parameter("edges", &GpioInput::edges, "which edges count; a rising edge makes the line active"),
+        parameter("debounce", &GpioInput::debounce,
+                  "a level that is shorter than this is ignored; 0: every edge counts",
                   range(Duration{0}, Duration{10s})));
   }
 };
@@ -174,15 +176,15 @@ class GpioBackend {
   /// True if the backend does `debounce`; otherwise the library does it.
   virtual bool debounces() const noexcept = 0;
   virtual std::vector<GpioChipInfo> chips() = 0;
-  /// Null, with an errno: EBUSY when somebody has the line.
+  /// Null, with an errno: EBUSY when the line is in use.
   virtual std::unique_ptr<GpioRequest> take_input(const std::string& path, unsigned number, const GpioInput& settings,
                                                   bool with_edges, int& error_number) = 0;
   virtual std::unique_ptr<GpioRequest> take_output(const std::string& path, unsigned number, const GpioOutput& settings,
                                                    int& error_number) = 0;
 };
 
-/// The kernel's chips, by libgpiod. In the library rtdata_gpio (CMake rtdata::gpio, pkg-config rtdata-gpio), which is
-/// there when libgpiod was found.
+/// The kernel's chips, by libgpiod. In the library rtdata_gpio (CMake rtdata::gpio, pkg-config rtdata-gpio), which
+/// exists if libgpiod was found.
 std::shared_ptr<GpioBackend> make_kernel_gpio();
 
 /// A line that is read or set by the caller. Reading and setting go to the kernel, on any thread, one at a time.
@@ -202,7 +204,7 @@ class GpioLine {
   Result<bool> read() const;
   /// Error (bad-argument) for an input.
   Result<void> set(bool value);
-  /// Sets an output to its safe value and gives the line back. Harmless when it is closed.
+  /// Sets an output to its safe value and releases the line. Does nothing when it is closed.
   void close() noexcept;
   bool is_open() const noexcept { return request_ != nullptr; }
   /// True if it is open and its chip is still there. Checks the chip's file and does not use the line.

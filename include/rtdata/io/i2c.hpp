@@ -1,4 +1,4 @@
-/// I2cBus, I2cDevice: chips on an I2C adapter of the kernel (/dev/i2c-1), or on whatever stands in for one.
+/// I2cBus, I2cDevice: chips on an I2C adapter of the kernel (/dev/i2c-1), or on another transport.
 ///
 ///     rtdata::I2cBus bus({.device = "/dev/i2c-1"});
 ///     rtdata::I2cDevice chip = bus.device({.address = 0x76});
@@ -11,9 +11,9 @@
 /// Addresses have 7 bits, as on Linux: 0x08 to 0x77. If a data sheet gives 8 bits (0xec to write, 0xed to read), divide
 /// by two.
 ///
-/// Errors: disconnected (no chip acknowledges), timed-out (the adapter waited in vain: a line is held), busy (a driver
-/// of the kernel has the chip; or arbitration was lost), not-found, not-permitted (of the adapter), bad-argument (a
-/// transfer that the adapter cannot do), closed (of a job that was given up), io-failed.
+/// Errors: disconnected (no chip acknowledges), timed-out (the adapter could not get the bus: a line is held), busy (a
+/// driver of the kernel has the chip; or arbitration was lost), not-found, not-permitted (of the adapter), bad-argument
+/// (a transfer that the adapter does not support), closed (of a job that was given up), io-failed.
 ///
 /// Thread: I2cBus: any. I2cDevice: one at a time.
 #pragma once
@@ -54,8 +54,8 @@ struct I2cConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("device", &I2cConfig::device, "the adapter, such as /dev/i2c-1", required, TextIs::device),
-        parameter("retries", &I2cConfig::retries, "of a transfer that failed", range(0, 10)),
-        parameter("timeout", &I2cConfig::timeout, "a reading that takes the bus for longer is given up",
+        parameter("retries", &I2cConfig::retries, "how often a failed transfer is tried again", range(0, 10)),
+        parameter("timeout", &I2cConfig::timeout, "a reading that takes the bus for longer than this is given up",
                   range(Duration{1ms}, Duration{1h})));
   }
   friend Duration give_up_after(const I2cConfig& config) { return config.timeout; }
@@ -69,7 +69,8 @@ class I2cDevice : public BusDevice {
   struct Place {
     I2cAddress address = {};
     friend constexpr auto parameters(type_tag<Place>) {
-      return parameter_list(parameter("address", &Place::address, "of the chip on the bus, 7 bits, such as \"0x76\""));
+      return parameter_list(
+          parameter("address", &Place::address, "7-bit address of the chip on the bus, such as \"0x76\""));
     }
   };
 

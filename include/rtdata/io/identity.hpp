@@ -1,5 +1,5 @@
-/// check_identity: for drivers of chips that tell which chip they are. A user who trusts a clone, or a new revision,
-/// names its identity, and the driver takes a chip with this one instead of the known one, and no other.
+/// check_identity: for drivers of chips that have an identity. If the user trusts a clone or a new revision and sets
+/// its identity, the driver accepts a chip with this identity instead of the known one, and no other.
 ///
 ///     class Thermometer {                                        // a driver (driver.hpp)
 ///       struct Config {
@@ -13,7 +13,7 @@
 ///       Result<void> open(I2cDevice& chip) { return rtdata::check_identity(chip, chips[0], config_.identity); }
 ///     };
 ///
-/// A sensor whose chip is taken by the user's word says so in the log and in recordings.
+/// A sensor that accepts such a chip reports it in the log and in recordings.
 ///
 /// Errors: bad-data (another chip), those of the bus. Thread: the bus's lane; the functions without a device: any.
 #pragma once
@@ -33,7 +33,7 @@
 
 namespace rtdata {
 
-/// The identity of a chip by the user's word. In configurations 152 or "0x98".
+/// The identity that the user has set for a chip. In configurations 152 or "0x98".
 struct IdentityCode {
   static constexpr std::uint32_t last = 0xffffff;
   std::uint32_t number = 0;
@@ -53,8 +53,8 @@ struct ConfigValue<IdentityCode> {
 template <class Config>
 constexpr auto identity_parameter(std::optional<IdentityCode> Config::*member) {
   return parameter("identity", member,
-                   "what the chip answers in place of the known identity, when it is a clone that you trust, such as "
-                   "\"0x98\"; another is refused. The log and recordings tell of it");
+                   "for a clone that you trust: the identity that it answers instead of the known one, such as "
+                   "\"0x98\"; any other is refused. The log and recordings mention it");
 }
 
 /// A Config with that parameter.
@@ -65,7 +65,7 @@ concept HasIdentity = requires(const Config& config) {
 
 /// Errors: bad-argument (the chip has no such register, or it has fewer bits); `where` is "identity".
 Result<void> check_identity_setting(const KnownChip& known, const std::optional<IdentityCode>& word);
-/// "0x98 by the user's word, in place of 0x68 of an MPU-6050". Empty: the user has named none.
+/// "0x98 by the user's word, in place of 0x68 of an MPU-6050". Empty: the user has set none.
 std::string identity_by_word(const KnownChip& known, const std::optional<IdentityCode>& word);
 /// "an MPU-6050", "a BME680 or BME688".
 std::string with_article(std::string_view chip);
@@ -76,10 +76,10 @@ struct IdentityRefusal {
   std::string advice;  ///< what else to do than to look for another chip; empty: nothing
   std::string clone;   ///< what to do about one that the user trusts
 };
-/// Empty: the chip with the identity `found` is taken.
+/// Empty: the chip with the identity `found` is accepted.
 std::optional<IdentityRefusal> identity_refusal(const KnownChip& known, const std::optional<IdentityCode>& word,
                                                 std::uint32_t found);
-/// True if all bits are ones, as registers that are not there mostly read.
+/// True if all bits are ones, as missing registers mostly read.
 constexpr bool is_all_ones(const ChipIdentity& identity, std::uint32_t found) noexcept {
   return found == (std::uint32_t{1} << 8 * identity.size()) - 1;
 }
@@ -115,8 +115,8 @@ std::string seems_to_be(Device& chip, const Others& others) {
   return {};
 }
 
-/// Checks that the chip has the identity of `known` or, where the user has named one, that one. `others`: as for
-/// `seems_to_be`, or a function of the device that returns such a text. `advice`: what to do when it is none of them.
+/// Checks that the chip has the identity of `known` or, if the user has set one, that one. `others`: as for
+/// `seems_to_be`, or a function of the device that returns such a text. `advice`: what to do if it is none of them.
 template <class Device, class Others = std::span<const KnownChip>>
 Result<void> check_identity(Device& chip, const KnownChip& known, const std::optional<IdentityCode>& word,
                             const Others& others = {},
@@ -134,7 +134,7 @@ Result<void> check_identity(Device& chip, const KnownChip& known, const std::opt
     if (refusal->advice.empty())
       refusal->advice = std::string(advice) + refusal->clone;
     else if (word)
-      refusal->advice += ", and leave `identity` out";
+      refusal->advice += ", and remove `identity`";
   }
   return chip.error(Errc::bad_data, refusal->what, refusal->why, refusal->advice);
 }

@@ -17,7 +17,7 @@
 /// A channel's name is that of its files without "in_" and "_raw" or "_input": "voltage0", "voltage0-voltage1",
 /// "accel_x", "temp", "humidityrelative". The quantity and unit follow from the name, without the device.
 ///
-/// Values, but for IioCapture, which is move-only. Thread: any, one at a time. Calls that touch files below /sys block
+/// Values, except IioCapture, which is move-only. Thread: any, one at a time. Calls that touch files below /sys block
 /// for as long as the driver needs to ask its chip: they belong on a lane. `IioCapture::read` never blocks.
 #pragma once
 
@@ -55,7 +55,7 @@ struct IioQuantity {
   std::string_view type;     ///< "voltage", "accel"
   std::string_view unit;     ///< UCUM, SI where there is one; empty: none
   double factor = 1;         ///< from the kernel's unit to this one
-  std::string_view kernels;  ///< the kernel's unit, for people
+  std::string_view kernels;  ///< the kernel's unit, for display
 };
 /// The quantity of a channel: for "accel_x" the one of "accel". Null: the kernel has no such type, or the rest of the
 /// name is not an index or modifier.
@@ -85,7 +85,7 @@ struct IioConversion {
 class IioDevice {
  public:
   /// `which`: its number ("0"), "iio:device0", a path below /sys or /dev, its label or its name. `root`: put before
-  /// /sys and /dev. Errors: not-found (lists what there is), bad-argument (several of this name: lists them).
+  /// /sys and /dev. Errors: not-found (lists the devices), bad-argument (several with this name: lists them).
   static Result<IioDevice> find(const std::string& which, const std::string& root = {});
   /// Sorted by number.
   static std::vector<IioDevice> all(const std::string& root = {});
@@ -101,9 +101,9 @@ class IioDevice {
   std::string text() const;
   /// As they were when it was found. Sorted by index, then by name.
   const std::vector<IioChannel>& channels() const noexcept { return channels_; }
-  /// Null: it has none of this name.
+  /// Null: it has no channel with this name.
   const IioChannel* channel(std::string_view name) const noexcept;
-  /// The same with an error that lists what there is.
+  /// The same with an error that lists the channels.
   Result<IioChannel> channel_or_error(std::string_view name) const;
   bool has_buffer() const;
 
@@ -146,8 +146,8 @@ class IioLayout {
     std::size_t position = 0;   ///< index of its first value in the output of `decode`
     bool is_timestamp = false;  ///< the two above are unused then
   };
-  /// The layout of a scan of these channels, in any order. Errors: bad-data (an index twice, a size that is no power of
-  /// two, for which kernels differ; a time that is not one number of 64 bits).
+  /// The layout of a scan of these channels, in any order. Errors: bad-data (an index twice, a size that is not a power
+  /// of two, for which kernels differ; a time that is not one number of 64 bits).
   static Result<IioLayout> make(std::vector<Channel> channels);
 
   IioLayout() = default;

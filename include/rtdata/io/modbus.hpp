@@ -16,10 +16,10 @@
 /// The line or connection is opened by the first call, and again after it was lost. A serial line is this program's
 /// alone, as of SerialPort (serial.hpp).
 ///
-/// RTU over TCP (`rtu_over_tcp`) is for serial servers that pass bytes on and convert nothing: the frames and rules are
+/// RTU over TCP (`rtu_over_tcp`) is for serial servers that pass bytes on without conversion: the frames and rules are
 /// those of RTU. There, bytes of noise before an answer are skipped and counted (TransferCounts::skipped_bytes).
 ///
-/// Units are 0 to 255. By RTU, no device answers 0, which is for all of them, and few have 248 to 255.
+/// Units are 0 to 255. Over RTU, 0 means all devices, and none answers it; 248 to 255 are reserved.
 ///
 /// Errors: timed-out (no answer, an incomplete one, or an earlier answer may still come), bad-data (a wrong checksum,
 /// an answer to another request, an echo of the request, or with `echo` one that differs), bad-argument (the device's
@@ -55,10 +55,10 @@ constexpr auto describe(type_tag<ModbusTable>) {
 struct ModbusConfig {
   std::string device = {};  ///< RTU: "/dev/serial/by-id/...", "/dev/ttyUSB0"; empty: TCP
   SerialSettings serial = {};
-  std::string host = {};      ///< TCP: a name or an address; empty: RTU
+  std::string host = {};      ///< TCP: host name or IP address; empty: RTU
   std::uint16_t port = 502;   ///< TCP
   bool rtu_over_tcp = false;  ///< TCP: the frames are those of RTU
-  bool echo = false;          ///< RTU: what is sent comes back: it is dropped, or an error where it differs
+  bool echo = false;          ///< RTU: the adapter returns what is sent: it is discarded; an error if it differs
   Duration connect_delay{0};  ///< TCP: wait before the first request; some servers ignore an early one
   Duration answer_timeout = std::chrono::milliseconds{500};  ///< longest wait for an answer
   Duration timeout = std::chrono::seconds{5};                ///< limit of each job of a sensor on the bus
@@ -67,21 +67,22 @@ struct ModbusConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("device", &ModbusConfig::device, "RTU: the serial device", TextIs::device),
-        include_member(&ModbusConfig::serial), parameter("host", &ModbusConfig::host, "TCP: a name or an address"),
-        parameter("port", &ModbusConfig::port, "TCP: the port", range(1, 65535)),
-        parameter("rtu_over_tcp", &ModbusConfig::rtu_over_tcp,
-                  "TCP: the server passes bytes to a serial line, and they are those of RTU"),
-        parameter("echo", &ModbusConfig::echo, "RTU: the adapter sends back what it is given, which is dropped"),
+        include_member(&ModbusConfig::serial),
+        parameter("host", &ModbusConfig::host, "TCP: host name or IP address of the server"),
+        parameter("port", &ModbusConfig::port, "TCP: port of the server", range(1, 65535)),
+        parameter("rtu_over_tcp", &ModbusConfig::rtu_over_tcp, "TCP: the server passes RTU frames to a serial line"),
+        parameter("echo", &ModbusConfig::echo,
+                  "RTU: the adapter returns all bytes that are sent to it; they are discarded"),
         parameter("connect_delay", &ModbusConfig::connect_delay,
-                  "TCP: how long a server takes no requests after a connection was made",
+                  "TCP: how long to wait after connecting before the first request",
                   range(Duration{0}, Duration{1min})),
-        parameter("answer_timeout", &ModbusConfig::answer_timeout, "an answer that is not complete by then is missed",
+        parameter("answer_timeout", &ModbusConfig::answer_timeout, "time limit for a complete answer",
                   range(Duration{1ms}, Duration{10min})),
-        parameter("timeout", &ModbusConfig::timeout, "a reading that takes the bus for longer is given up",
+        parameter("timeout", &ModbusConfig::timeout, "a reading that takes the bus for longer than this is given up",
                   range(Duration{2ms}, Duration{1h})));
   }
   friend Duration give_up_after(const ModbusConfig& config) { return config.timeout; }
-  /// Checks that there is a device or a host, that the settings are of it, and that `timeout` is longer than
+  /// Checks that there is a device or a host, that the settings fit it, and that `timeout` is longer than
   /// `answer_timeout`.
   friend void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& problems);
 };

@@ -60,12 +60,12 @@ struct RegisterPlace {
   unsigned clock = 1'000'000;  ///< Hz, of SPI; controllers take the next lower one that they have
   friend constexpr auto parameters(type_tag<RegisterPlace>) {
     return parameter_list(
-        parameter("address", &RegisterPlace::address, "of the chip on an I2C bus, 7 bits, such as \"0x76\""),
-        parameter("chip_select", &RegisterPlace::chip_select, "of the chip on an SPI bus: the 1 of /dev/spidev0.1",
+        parameter("address", &RegisterPlace::address, "I2C: 7-bit address of the chip, such as \"0x76\""),
+        parameter("chip_select", &RegisterPlace::chip_select, "SPI: chip select of the chip, the 1 of /dev/spidev0.1",
                   range(0, 255)),
-        parameter("mode", &RegisterPlace::mode, "on SPI: clock polarity times 2, plus phase", range(0, 3)),
-        parameter("clock", &RegisterPlace::clock, "on SPI, at most; lower for long wires", unit("Hz"),
-                  range(1'000, 100'000'000)));
+        parameter("mode", &RegisterPlace::mode, "SPI: mode, clock polarity times 2 plus phase", range(0, 3)),
+        parameter("clock", &RegisterPlace::clock, "SPI: highest clock frequency; long wires need a lower one",
+                  unit("Hz"), range(1'000, 100'000'000)));
   }
   friend void check_config(const RegisterPlace& place, const ConfigItem& item, Problems& problems);
 };
@@ -142,8 +142,8 @@ class RegisterBus : public Bus {
   /// The type of bus for this place, and the advice for the other type.
   static std::string_view type_of(const RegisterPlace& place) { return types[place.chip_select ? 1 : 0]; }
   static std::string_view advice_on_other(const RegisterPlace& place) {
-    return place.chip_select ? "on I2C, give the chip's `address` and no `chip_select`"
-                             : "on SPI, give the chip's `chip_select`";
+    return place.chip_select ? "on I2C, set the chip's `address`, and remove `chip_select`"
+                             : "on SPI, set the chip's `chip_select`";
   }
 
  protected:

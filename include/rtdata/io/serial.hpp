@@ -14,16 +14,16 @@
 /// - With `run` instead it is a program of the user's own, which reads requests from its standard input and prints
 ///   answers. It is started by the first call, and again when it has ended; what it writes to its standard error goes
 ///   to that of this program. Its terminal is raw, so that it holds nothing back.
-/// - 9600 8N1 unless `serial` says otherwise. No flow control.
+/// - 9600 8N1 by default. No flow control.
 /// - The port is opened by the first call, for this program alone, and again after it was gone, by its path:
 ///   /dev/serial/by-id/... finds an adapter wherever it is plugged in.
 /// - Several devices on one line (RS-485) share the port and its lane: one request at a time.
 ///
 /// Errors: timed-out (no answer, or an incomplete one; an earlier answer may still come for longer than a reading may
-/// take), bad-data (with `echo`: what came back is not what was sent), disconnected (the adapter was unplugged),
-/// does-not-fit (no delimiter within the most bytes), closed (of a job that was given up), and of opening: not-found,
-/// not-permitted, busy (the error names the other program), bad-argument (not a serial line), out-of-range (the line
-/// does not support these settings).
+/// take), bad-data (with `echo`: the returned bytes differ from the sent ones), disconnected (the adapter was
+/// unplugged), does-not-fit (no delimiter within the most bytes), closed (of a job that was given up), and of opening:
+/// not-found, not-permitted, busy (the error names the other program), bad-argument (not a serial line), out-of-range
+/// (the line does not support these settings).
 ///
 /// Thread: SerialPort: any. SerialDevice: one at a time.
 #pragma once
@@ -60,7 +60,7 @@ constexpr auto describe(type_tag<Rs485>) {
 ///
 ///     rtdata::SerialSettings settings{.baud_rate = 115200, .parity = rtdata::Parity::even};
 struct SerialSettings {
-  std::uint32_t baud_rate = 9600;  ///< bits a second; any that the device can do, not only the usual ones
+  std::uint32_t baud_rate = 9600;  ///< bits a second; any that the device supports, not only the usual ones
   unsigned character_size = 8;     ///< bits of a character, 5 to 8
   Parity parity = Parity::none;
   unsigned stop_bits = 1;  ///< 1 or 2
@@ -70,19 +70,20 @@ struct SerialSettings {
   std::optional<Rs485> rs485 = {};  ///< the kernel switches the driver of an RS-485 line by RTS
 
   friend constexpr auto parameters(type_tag<SerialSettings>) {
-    return parameter_list(parameter("baud_rate", &SerialSettings::baud_rate, "speed, any that the device can do",
-                                    rtdata::unit("Bd"), range(1, 20000000)),
-                          parameter("character_size", &SerialSettings::character_size, "bits of a character",
-                                    rtdata::unit("bit"), range(5, 8)),
-                          parameter("parity", &SerialSettings::parity, "parity bit"),
-                          parameter("stop_bits", &SerialSettings::stop_bits, "stop bits", range(1, 2)),
-                          parameter("dtr", &SerialSettings::dtr, "the line DTR after opening; default: set"),
-                          parameter("rts", &SerialSettings::rts, "the line RTS after opening; default: set"),
-                          parameter("hangup", &SerialSettings::hangup, "closing clears DTR and RTS"),
-                          parameter("rs485", &SerialSettings::rs485,
-                                    "the kernel switches an RS-485 driver by RTS: its level while sending"));
+    return parameter_list(
+        parameter("baud_rate", &SerialSettings::baud_rate, "speed; any that the device supports", rtdata::unit("Bd"),
+                  range(1, 20000000)),
+        parameter("character_size", &SerialSettings::character_size, "bits of a character", rtdata::unit("bit"),
+                  range(5, 8)),
+        parameter("parity", &SerialSettings::parity, "parity bit"),
+        parameter("stop_bits", &SerialSettings::stop_bits, "stop bits", range(1, 2)),
+        parameter("dtr", &SerialSettings::dtr, "state of the line DTR after opening; default: set"),
+        parameter("rts", &SerialSettings::rts, "state of the line RTS after opening; default: set"),
+        parameter("hangup", &SerialSettings::hangup, "true: closing the device clears DTR and RTS"),
+        parameter("rs485", &SerialSettings::rs485,
+                  "the kernel switches an RS-485 driver with RTS; this is the level of RTS while sending"));
   }
-  /// Checks that `rts` and `rs485` are not both there. Called by the checks of the types that include these settings.
+  /// Checks that `rts` and `rs485` are not both set. Called by the checks of the types that include these settings.
   friend void check_config(const SerialSettings& settings, const ConfigItem& item, Problems& problems);
 };
 
@@ -101,29 +102,31 @@ class SerialTransport {
 
 struct SerialPortConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
-  std::string host = {};    ///< instead of `device`: a name or an address; the device answers on its TCP `port`
+  std::string host = {};    ///< instead of `device`: host name or IP address; the device answers on its TCP `port`
   std::uint16_t port = 0;
   std::vector<std::string> run = {};  ///< instead of `device`: a program and its arguments
   SerialSettings serial = {};
   Duration answer_timeout = std::chrono::milliseconds{500};  ///< longest wait for an answer
   Duration timeout = std::chrono::seconds{5};                ///< limit of each job of a sensor on the port
-  bool echo = false;  ///< the adapter sends back what it is given: it is dropped, or an error where it differs
+  bool echo = false;  ///< the adapter returns what is sent: it is discarded; an error if it differs
 
   friend constexpr auto parameters(type_tag<SerialPortConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("device", &SerialPortConfig::device, "the serial device", TextIs::device),
         parameter("host", &SerialPortConfig::host,
-                  "instead of `device`: an instrument or a serial server in the network"),
-        parameter("port", &SerialPortConfig::port, "its TCP port, such as 5025 for SCPI; 0: none", range(0, 65535)),
+                  "instead of `device`: host name or IP address of an instrument or a serial server"),
+        parameter("port", &SerialPortConfig::port, "TCP port of `host`, such as 5025 for SCPI; 0: none",
+                  range(0, 65535)),
         parameter("run", &SerialPortConfig::run,
                   "instead of `device`: a program of your own that answers each line on its standard input"),
         include_member(&SerialPortConfig::serial),
-        parameter("answer_timeout", &SerialPortConfig::answer_timeout,
-                  "an answer that is not complete by then is missed", range(Duration{1ms}, Duration{10min})),
-        parameter("timeout", &SerialPortConfig::timeout, "a reading that takes the port for longer is given up",
-                  range(Duration{2ms}, Duration{1h})),
-        parameter("echo", &SerialPortConfig::echo, "the adapter sends back what it is given, which is dropped"));
+        parameter("answer_timeout", &SerialPortConfig::answer_timeout, "time limit for a complete answer",
+                  range(Duration{1ms}, Duration{10min})),
+        parameter("timeout", &SerialPortConfig::timeout,
+                  "a reading that takes the port for longer than this is given up", range(Duration{2ms}, Duration{1h})),
+        parameter("echo", &SerialPortConfig::echo,
+                  "the adapter returns all bytes that are sent to it; they are discarded"));
   }
   friend Duration give_up_after(const SerialPortConfig& config) { return config.timeout; }
   /// Checks that there is one of `device`, `host` and `run`, and that `timeout` is longer than `answer_timeout`.
@@ -143,7 +146,7 @@ class SerialDevice : public BusDevice {
   Result<void> write(std::span<const std::uint8_t> bytes);
   Result<void> write(std::string_view text);
   Result<void> write(std::uint8_t byte) { return write(std::span<const std::uint8_t>(&byte, 1)); }
-  /// How often the port was lost so far: what sets a device up is sent again then, after `drop_input`.
+  /// How often the port was lost so far. After a loss, send the set-up of the device again, after `drop_input`.
   std::uint64_t losses() const;
   /// Reads all bytes; `timeout` counts from the call. Unset: the port's `answer_timeout`.
   Result<void> read(std::span<std::uint8_t> bytes, std::optional<Duration> timeout = {});

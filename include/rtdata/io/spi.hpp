@@ -31,7 +31,7 @@
 
 namespace rtdata {
 
-/// Where a chip is, and how it is talked to.
+/// Where a chip is, and how it is accessed.
 struct SpiPlace {
   unsigned chip_select = 0;
   unsigned mode = 0;           ///< 0 to 3: clock polarity times 2, plus phase
@@ -39,19 +39,21 @@ struct SpiPlace {
   unsigned bits_per_word = 8;  ///< words of more than 8 bits are in memory in the processor's byte order
   friend constexpr auto parameters(type_tag<SpiPlace>) {
     return parameter_list(
-        parameter("chip_select", &SpiPlace::chip_select, "of the chip: the 1 of /dev/spidev0.1", range(0, 255)),
+        parameter("chip_select", &SpiPlace::chip_select, "chip select of the chip, the 1 of /dev/spidev0.1",
+                  range(0, 255)),
         parameter("mode", &SpiPlace::mode, "SPI mode: clock polarity times 2, plus phase", range(0, 3)),
-        parameter("clock", &SpiPlace::clock, "at most; lower for long wires", unit("Hz"), range(1'000, 100'000'000)),
-        parameter("bits_per_word", &SpiPlace::bits_per_word, "of the transfers", unit("bit"), range(4, 32)));
+        parameter("clock", &SpiPlace::clock, "highest clock frequency; long wires need a lower one", unit("Hz"),
+                  range(1'000, 100'000'000)),
+        parameter("bits_per_word", &SpiPlace::bits_per_word, "bits of a word in transfers", unit("bit"), range(4, 32)));
   }
 };
 
-/// A piece of a transfer during which the chip stays selected.
+/// A segment of a transfer during which the chip stays selected.
 struct SpiSegment {
   std::span<const std::uint8_t> write = {};  ///< empty: zeros are sent
   std::span<std::uint8_t> read = {};         ///< empty: received bytes are dropped; otherwise as long as `write`
-  Duration delay_after{0};                   ///< the chip's, before the next piece; to 65 ms
-  bool release_after = false;                ///< the chip select goes up before the next piece
+  Duration delay_after{0};                   ///< pause before the next segment; to 65 ms
+  bool release_after = false;                ///< the chip select goes up before the next segment
 };
 
 /// The transport: the kernel's controller, the fake for tests (fake_spi.hpp), or your own. Thread: the bus's lane;
@@ -76,10 +78,10 @@ struct SpiConfig {
     return parameter_list(
         parameter("device", &SpiConfig::device, "the controller without a chip select, such as /dev/spidev0", required,
                   TextIs::device),
-        parameter("timeout", &SpiConfig::timeout, "a reading that takes the bus for longer is given up",
+        parameter("timeout", &SpiConfig::timeout, "a reading that takes the bus for longer than this is given up",
                   range(Duration{1ms}, Duration{1h})),
         parameter("inline", &SpiConfig::reads_on_loop,
-                  "read on the sensors' own loops, which wait for each transfer: for short ones"));
+                  "true: the sensors' own loops read, and wait for each transfer; only for short transfers"));
   }
   friend Duration give_up_after(const SpiConfig& config) { return config.timeout; }
   friend void check_config(const SpiConfig& config, const ConfigItem& item, Problems& problems);
@@ -96,7 +98,7 @@ class SpiDevice : public BusDevice {
   static constexpr std::size_t most_segments = 64;
 
   const SpiPlace& place() const noexcept { return place_; }
-  /// Sends and receives at once: as many bytes each, or one of them empty.
+  /// Sends and receives at the same time. Both spans have the same size, or one is empty.
   Result<void> transfer(std::span<const std::uint8_t> write, std::span<std::uint8_t> read);
   Result<void> write(std::span<const std::uint8_t> bytes) { return transfer(bytes, {}); }
   Result<void> read(std::span<std::uint8_t> bytes) { return transfer({}, bytes); }

@@ -37,17 +37,18 @@ struct HttpPeer {
 
   friend constexpr auto parameters(type_tag<HttpPeer>) {
     return parameter_list(
-        parameter("url", &HttpPeer::url, "where to: http:// or https://, without user and password", required),
-        parameter("headers", &HttpPeer::headers, "sent with each request, by name"),
-        parameter("bearer", &HttpPeer::bearer, "token of the header Authorization"),
-        parameter("user", &HttpPeer::user, "of basic authentication"),
-        parameter("password", &HttpPeer::password, "of the user"),
+        parameter("url", &HttpPeer::url, "the URL: http:// or https://, without user and password", required),
+        parameter("headers", &HttpPeer::headers, "headers of each request, by name"),
+        parameter("bearer", &HttpPeer::bearer, "token for the header Authorization"),
+        parameter("user", &HttpPeer::user, "user name for basic authentication"),
+        parameter("password", &HttpPeer::password, "password of the user"),
         parameter("http_version", &HttpPeer::http_version,
-                  "auto: 2 where https and the peer have it, else 1.1; 2: also without encryption"),
+                  "auto: 2 with https if the peer supports it, else 1.1; 2: also without encryption"),
         parameter("tls", &HttpPeer::tls, "how https checks the peer's identity"),
-        parameter("proxy", &HttpPeer::proxy, "URL of an HTTP proxy; default: none, whatever the environment says"),
-        parameter("proxy_user", &HttpPeer::proxy_user, "of the proxy"),
-        parameter("proxy_password", &HttpPeer::proxy_password, "of that user"));
+        parameter("proxy", &HttpPeer::proxy,
+                  "URL of an HTTP proxy; default: none, also if environment variables name one"),
+        parameter("proxy_user", &HttpPeer::proxy_user, "user name for the proxy"),
+        parameter("proxy_password", &HttpPeer::proxy_password, "password of `proxy_user`"));
   }
 };
 

@@ -16,7 +16,7 @@
 namespace rtdata {
 
 enum class MqttVersion {
-  newest,  ///< 5, or 3.1.1 if the broker has no other
+  newest,  ///< 5, or 3.1.1 if the broker does not support 5
   v5,
   v311,
 };
@@ -39,14 +39,16 @@ struct MqttBroker {
   friend constexpr auto parameters(type_tag<MqttBroker>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("host", &MqttBroker::host, "the broker: a name or an address"),
-        parameter("port", &MqttBroker::port, "its port; 0: 1883, with tls 8883"),
-        parameter("version", &MqttBroker::version, "of MQTT"),
-        parameter("client_id", &MqttBroker::client_id, "its name at the broker; empty: the broker chooses"),
-        parameter("user", &MqttBroker::user, "name at the broker"),
-        parameter("password", &MqttBroker::password, "to be written as {\"env\": ...} or {\"file\": ...}"),
-        parameter("tls", &MqttBroker::tls, "encrypted; {} is enough where the broker's certificate is a public one"),
-        parameter("keepalive", &MqttBroker::keepalive, "longest silence of a side before it sends a ping",
+        parameter("host", &MqttBroker::host, "host name or IP address of the broker"),
+        parameter("port", &MqttBroker::port, "port of the broker; 0: 1883, with `tls` 8883"),
+        parameter("version", &MqttBroker::version, "version of MQTT"),
+        parameter("client_id", &MqttBroker::client_id, "client id at the broker; empty: the broker chooses one"),
+        parameter("user", &MqttBroker::user, "user name at the broker"),
+        parameter("password", &MqttBroker::password,
+                  "password of the user, written as {\"env\": ...} or {\"file\": ...}"),
+        parameter("tls", &MqttBroker::tls,
+                  "encrypts the connection; {} is enough if a public authority signed the broker's certificate"),
+        parameter("keepalive", &MqttBroker::keepalive, "longest silence on the connection before a ping is sent",
                   range(5s, 18h)),
         parameter("connect_timeout", &MqttBroker::connect_timeout, "how long connecting may take", range(10ms, 10min)));
   }

@@ -28,11 +28,11 @@ struct TlsConfig {
     return parameter_list(
         parameter(
             "verify", &TlsConfig::verify,
-            "false: the peer's identity is not checked, so that anybody on the way can read and change everything"),
+            "false: the peer's identity is not checked; anybody between the two can then read and change everything"),
         parameter("ca_file", &TlsConfig::ca_file,
-                  "file (PEM) with the authorities that are trusted; default: those of this machine"),
+                  "file (PEM) with the trusted authorities; default: those of this computer"),
         parameter("certificate", &TlsConfig::certificate,
-                  "file (PEM) with the certificate of this machine, if the peer asks for one"),
+                  "file (PEM) with the certificate of this computer, if the peer asks for one"),
         parameter("key", &TlsConfig::key, "file (PEM) with the private key of the certificate"),
         parameter("key_password", &TlsConfig::key_password, "password of the key, if it has one"));
   }

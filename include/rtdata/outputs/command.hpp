@@ -32,8 +32,8 @@ struct CommandActuatorConfig {
                   "the program and its arguments, such as [\"plug\", \"{value}\"]; {value} stands for the value",
                   required),
         parameter("words", &CommandActuatorConfig::words,
-                  "the text in place of {value}, by value: {\"0\": \"off\", \"1\": \"on\"}"),
-        parameter("timeout", &CommandActuatorConfig::timeout, "for the program to end",
+                  "text that replaces {value}, for each value: {\"0\": \"off\", \"1\": \"on\"}"),
+        parameter("timeout", &CommandActuatorConfig::timeout, "time limit for the program to end",
                   range(Duration{10ms}, Duration{1500ms})));
   }
 };

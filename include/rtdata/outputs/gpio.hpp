@@ -27,11 +27,15 @@ struct GpioActuatorConfig {
 
   friend constexpr auto parameters(type_tag<GpioActuatorConfig>) {
     return parameter_list(
-        parameter("line", &GpioActuatorConfig::line,
-                  "its name (\"GPIO17\"), its number on the chip (17), or \"gpiochip0:17\"", required),
-        parameter("chip", &GpioActuatorConfig::chip, "its chip, such as gpiochip0; empty: the one that has the line"),
-        parameter("drive", &GpioActuatorConfig::drive, "how it drives its levels"),
-        parameter("active_low", &GpioActuatorConfig::active_low, "1 is low, as many relay boards want it"));
+        parameter(
+            "line", &GpioActuatorConfig::line,
+            "name of the line (\"GPIO17\"), its number on the chip (17), or both chip and number (\"gpiochip0:17\")",
+            required),
+        parameter("chip", &GpioActuatorConfig::chip,
+                  "chip of the line, such as gpiochip0; empty: the chip that has the line"),
+        parameter("drive", &GpioActuatorConfig::drive, "how the line is driven"),
+        parameter("active_low", &GpioActuatorConfig::active_low,
+                  "the value 1 sets the line low (many relay boards need this)"));
   }
 };
 

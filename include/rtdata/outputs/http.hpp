@@ -38,15 +38,16 @@ struct HttpActuatorConfig {
 
   friend constexpr auto parameters(type_tag<HttpActuatorConfig>) {
     using namespace std::chrono_literals;
-    return parameter_list(include_member(&HttpActuatorConfig::server),
-                          parameter("method", &HttpActuatorConfig::method, "of the request; get has no body"),
-                          parameter("text", &HttpActuatorConfig::text,
-                                    "the body of the request; {value} stands for the value", placeholders("value")),
-                          parameter("content_type", &HttpActuatorConfig::content_type, "of the body"),
-                          parameter("words", &HttpActuatorConfig::words,
-                                    "the text in place of {value}, by value: {\"0\": \"off\", \"1\": \"on\"}"),
-                          parameter("timeout", &HttpActuatorConfig::timeout, "from looking up the name to the answer",
-                                    range(Duration{10ms}, Duration{1500ms})));
+    return parameter_list(
+        include_member(&HttpActuatorConfig::server),
+        parameter("method", &HttpActuatorConfig::method, "method of the request; get has no body"),
+        parameter("text", &HttpActuatorConfig::text, "the body of the request; {value} stands for the value",
+                  placeholders("value")),
+        parameter("content_type", &HttpActuatorConfig::content_type, "content type of the body"),
+        parameter("words", &HttpActuatorConfig::words,
+                  "text that replaces {value}, for each value: {\"0\": \"off\", \"1\": \"on\"}"),
+        parameter("timeout", &HttpActuatorConfig::timeout, "time limit from the lookup of the host name to the answer",
+                  range(Duration{10ms}, Duration{1500ms})));
   }
   friend void check_config(const HttpActuatorConfig& config, const ConfigItem& item, Problems& problems);
 };

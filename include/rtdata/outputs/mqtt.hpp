@@ -41,15 +41,15 @@ struct MqttActuatorConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         include_member(&MqttActuatorConfig::broker),
-        parameter("to", &MqttActuatorConfig::to, "the topic of the message", required),
+        parameter("to", &MqttActuatorConfig::to, "topic of the message", required),
         parameter("text", &MqttActuatorConfig::text, "the message; {value} stands for the value",
                   placeholders("value")),
         parameter("words", &MqttActuatorConfig::words,
-                  "the text in place of {value}, by value: {\"0\": \"OFF\", \"1\": \"ON\"}"),
-        parameter("qos", &MqttActuatorConfig::qos, "0: at most once, 1: at least once, 2: once", range(0, 2)),
+                  "text that replaces {value}, for each value: {\"0\": \"OFF\", \"1\": \"ON\"}"),
+        parameter("qos", &MqttActuatorConfig::qos, "0: at most once, 1: at least once, 2: exactly once", range(0, 2)),
         parameter("retain", &MqttActuatorConfig::retain,
-                  "whether the broker keeps the last message for later subscribers"),
-        parameter("timeout", &MqttActuatorConfig::timeout, "from connecting to the broker's confirmation",
+                  "true: the broker keeps the last message for later subscribers"),
+        parameter("timeout", &MqttActuatorConfig::timeout, "time limit from connecting to the broker's confirmation",
                   range(Duration{10ms}, Duration{1500ms})));
   }
   friend void check_config(const MqttActuatorConfig& config, const ConfigItem& item, Problems& problems);

@@ -29,8 +29,8 @@
 /// asked, and how long it took. Arming, disarming and refusals are events too.
 ///
 /// The device is set on a lane, or in the guard, so a slow device does not hold the loop. While one value is being set,
-/// only the latest new value is kept; earlier ones are reported as superseded, or, if they come from a topic, counted
-/// as `filtered`. At its start and end, an output waits for the device.
+/// only the latest new value is kept; earlier ones are reported as replaced, or, if they come from a topic, counted as
+/// `filtered`. At its start and end, an output waits for the device.
 ///
 /// This is not a safety system: docs/outputs.md lists its limits.
 ///
@@ -61,7 +61,7 @@ struct OutputRange {
   double least = -std::numeric_limits<double>::infinity();
   double most = std::numeric_limits<double>::infinity();
   bool is_whole = false;  ///< whole numbers only; for a GPIO line: {0, 1, true}
-  /// Why it refuses this value, for people: "the device does not take 0.5: it takes 0 or 1". Empty: it takes the value.
+  /// Why it refuses this value, as a text: "0.5 is not a value for the device: 0 or 1". Empty: it accepts the value.
   std::string refusal(double value) const;
 };
 
@@ -124,16 +124,16 @@ struct OutputChange {
 enum class Arming : std::uint8_t { at_start, by_command };
 
 struct OutputConfig {
-  std::string name = {};                            ///< the origin of its events
-  std::string topic = {};                           ///< empty: as its name
-  double safe = 0;                                  ///< in the actuator's unit; of a line or a condition 1 is on, 0 off
-  std::string on = {};                              ///< the topic that it follows; empty: it is set by `set`
-  std::vector<std::string> with = {};               ///< other topics; their latest values are used
-  std::string expression = {};                      ///< gives its value; empty: the only number of the topic `on`
-  std::optional<HysteresisConfig> hysteresis = {};  ///< switches on or off by the value of the expression
-  std::optional<PidConfig> pid = {};                ///< controls the value of the expression
-  Duration max_age = std::chrono::seconds{5};       ///< without an event for longer, an input is stale
-  Duration lease{0};                                ///< a `set` is valid for this long; 0: until the next one
+  std::string name = {};               ///< the origin of its events
+  std::string topic = {};              ///< empty: its name
+  double safe = 0;                     ///< in the actuator's unit; for a line or a condition 1 is on, 0 off
+  std::string on = {};                 ///< the topic that it follows; empty: it is set by `set`
+  std::vector<std::string> with = {};  ///< other topics; their latest values are used
+  std::string expression = {};         ///< gives its value; empty: the only number of the topic `on`
+  std::optional<HysteresisConfig> hysteresis = {};     ///< switches on or off by the value of the expression
+  std::optional<PidConfig> pid = {};                   ///< controls the value of the expression
+  Duration max_age = std::chrono::seconds{5};          ///< without an event for longer, an input is stale
+  Duration lease{0};                                   ///< a `set` is valid for this long; 0: until the next one
   Duration watchdog = std::chrono::milliseconds{500};  ///< how long the guard waits for the loop
   Arming armed = Arming::at_start;
   bool required = false;  ///< a device that is missing or silent at the start throws
@@ -144,29 +144,36 @@ struct OutputConfig {
     return parameter_list(
         parameter("name", &OutputConfig::name, "the origin of its events, unique in the file", rtdata::required,
                   TextIs::name),
-        parameter("topic", &OutputConfig::topic, "where its changes are published; empty: as its name", TextIs::topic),
-        parameter("safe", &OutputConfig::safe, "its safe value; of a line 1 is on, 0 off"),
-        parameter("on", &OutputConfig::on, "the topic that it follows; empty: it is set by the program or a command",
+        parameter("topic", &OutputConfig::topic, "topic of its changes; empty: its name", TextIs::topic),
+        parameter("safe", &OutputConfig::safe, "safe value; for a GPIO line 1 is on and 0 is off"),
+        parameter("on", &OutputConfig::on,
+                  "topic that the output follows; empty: the program or a command sets the output",
                   names_part("topic")),
         parameter("with", &OutputConfig::with, "other topics; their latest values are used", names_part("topic")),
         parameter("expression", &OutputConfig::expression,
-                  "its value, or what is controlled; of a condition 1 or 0; empty: the only number of the topic `on`",
+                  "value of the output, or value to control; a condition gives 1 or 0; empty: the only number of the "
+                  "topic `on`",
                   TextIs::recorded),
-        parameter("hysteresis", &OutputConfig::hysteresis, "on or off by two thresholds of the expression's value"),
+        parameter("hysteresis", &OutputConfig::hysteresis,
+                  "switches on and off at two thresholds of the expression's value"),
         parameter("pid", &OutputConfig::pid, "a controller that brings the expression's value to its set point"),
-        parameter("max_age", &OutputConfig::max_age, "safe while its input has had no event for longer",
+        parameter("max_age", &OutputConfig::max_age,
+                  "the output is safe while its input has had no event for longer than this",
                   range(Duration{1ms}, Duration{24h * 365})),
         parameter("lease", &OutputConfig::lease,
-                  "safe when no program or command has set it for longer; 0: a value holds",
+                  "how long a value holds if no program or command sets it again; then the output becomes safe; 0: "
+                  "without limit",
                   range(Duration{0}, Duration{24h * 365})),
-        parameter("watchdog", &OutputConfig::watchdog, "safe when the program hangs for longer",
+        parameter("watchdog", &OutputConfig::watchdog,
+                  "the output becomes safe when the program hangs for longer than this",
                   range(Duration{20ms}, Duration{1h})),
-        parameter("armed", &OutputConfig::armed, "whether it can be set from the start on",
+        parameter("armed", &OutputConfig::armed,
+                  "whether the output can be set from the start, or only after a command has armed it",
                   choices(value("at start", Arming::at_start), value("by command", Arming::by_command))),
         parameter("required", &OutputConfig::required,
-                  "a device that is absent or does not answer at the start ends the program"),
+                  "true: the program ends if the device is absent or does not answer at the start"),
         parameter("keep", &OutputConfig::keep,
-                  "at start and stop the device keeps what it has, such as a relay while the program is replaced"));
+                  "true: at start and stop the device keeps its value, such as a relay while the program is replaced"));
   }
   friend void check_config(const OutputConfig& config, const ConfigItem& item, Problems& problems);
 };

@@ -32,10 +32,10 @@ struct PwmConfig {
     return parameter_list(
         parameter("chip", &PwmConfig::chip, "the number of the chip: 0 is /sys/class/pwm/pwmchip0",
                   range(0, 4294967295.0)),
-        parameter("channel", &PwmConfig::channel, "its channel", range(0, 4294967295.0)),
-        parameter("frequency", &PwmConfig::frequency, "of the pulses"),
-        parameter("inverted", &PwmConfig::inverted, "the duty cycle is the part of the time that it is low"),
-        parameter("root", &PwmConfig::root, "where the chips are", TextIs::recorded));
+        parameter("channel", &PwmConfig::channel, "number of the channel of the chip", range(0, 4294967295.0)),
+        parameter("frequency", &PwmConfig::frequency, "frequency of the pulses"),
+        parameter("inverted", &PwmConfig::inverted, "true: the duty cycle is the share of time at the low level"),
+        parameter("root", &PwmConfig::root, "folder of the chips", TextIs::recorded));
   }
 };
 

@@ -5,11 +5,11 @@
 ///           rtdata::SerialActuatorConfig{.device = "/dev/ttyUSB0", .words = {{"0", "off"}, {"1", "on"}}});
 ///     });
 ///
-/// Devices that take bytes are set by `words_hex`: {{"0", "a0 01 00 a1"}, {"1", "a0 01 01 a2"}} is a USB relay. Then
+/// Devices that need bytes are set by `words_hex`: {{"0", "a0 01 00 a1"}, {"1", "a0 01 01 a2"}} is a USB relay. Then
 /// other values cannot be set, and `text` is not used.
 ///
 /// With `host` and `port` instead of `device` it is a TCP connection, which stays open: an instrument, a board with
-/// relays. `host` had better be an address, so that nothing waits for a name server.
+/// relays. Use an IP address as `host`, so that nothing waits for a name server.
 ///
 /// A value is set when the kernel has sent the text and, with `answer`, the device has sent that answer within
 /// `timeout`. With `keep`, opening sends nothing. Other data from the device is discarded.
@@ -28,33 +28,33 @@ namespace rtdata {
 
 struct SerialActuatorConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
-  std::string host = {};    ///< instead of `device`: a name or an address
-  std::uint16_t port = 0;   ///< the TCP port there
+  std::string host = {};    ///< instead of `device`: host name or IP address
+  std::uint16_t port = 0;   ///< TCP port of the device
   SerialSettings serial = {};
   std::string text = "{value}\n";                     ///< `{value}`: the shortest exact number: 1, 0.5
   std::map<std::string, std::string> words = {};      ///< texts to send for values: {"0": "off", "1": "on"}
   std::map<std::string, std::string> words_hex = {};  ///< bytes to send for values, instead of `text`
   std::string answer = {};                            ///< the device's reply after a value; empty: do not wait for one
-  std::string answer_hex = {};                        ///< the same as bytes
+  std::string answer_hex = {};                        ///< the reply as bytes
   Duration timeout = std::chrono::milliseconds{500};
 
   friend constexpr auto parameters(type_tag<SerialActuatorConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
         parameter("device", &SerialActuatorConfig::device, "the serial device", TextIs::device),
-        parameter("host", &SerialActuatorConfig::host, "instead of `device`: the address of a device on the network"),
-        parameter("port", &SerialActuatorConfig::port, "with `host`: its TCP port", range(0, 65535)),
+        parameter("host", &SerialActuatorConfig::host, "instead of `device`: host name or IP address of the device"),
+        parameter("port", &SerialActuatorConfig::port, "with `host`: TCP port of the device", range(0, 65535)),
         include_member(&SerialActuatorConfig::serial),
         parameter("text", &SerialActuatorConfig::text, "what is sent; {value} stands for the value",
                   placeholders("value")),
         parameter("words", &SerialActuatorConfig::words,
-                  "the text in place of {value}, by value: {\"0\": \"off\", \"1\": \"on\"}"),
+                  "text that replaces {value}, for each value: {\"0\": \"off\", \"1\": \"on\"}"),
         parameter("words_hex", &SerialActuatorConfig::words_hex,
                   "instead of `text`: the bytes for each value: {\"0\": \"a0 01 00 a1\", \"1\": \"a0 01 01 a2\"}"),
         parameter("answer", &SerialActuatorConfig::answer,
-                  "what the device sends when it has the value; empty: it is not waited for"),
-        parameter("answer_hex", &SerialActuatorConfig::answer_hex, "the same as bytes"),
-        parameter("timeout", &SerialActuatorConfig::timeout, "for sending and the answer",
+                  "what the device answers when it has taken the value; empty: no answer is awaited"),
+        parameter("answer_hex", &SerialActuatorConfig::answer_hex, "the answer as bytes, in hexadecimal digits"),
+        parameter("timeout", &SerialActuatorConfig::timeout, "time limit for sending and the answer",
                   range(Duration{1ms}, Duration{1500ms})));
   }
   friend void check_config(const SerialActuatorConfig& config, const ConfigItem& item, Problems& problems) {

@@ -8,12 +8,12 @@
 /// Numbers, `+ - * / ^`, comparisons, `and or not` (also `&& || !`), `condition ? a : b`, `pi`, `e`, `true`, `false`,
 /// the usual functions (sqrt, sin, min, max ...), and functions with a memory (docs/expressions.md has all of them):
 ///   - highest(x), lowest(x): the largest and the least value so far
-///   - mean(x, seconds): the mean of the values that came in the last so many seconds
-///   - rate(x): the change a second since the value before; rate(x, seconds): since the oldest value of the last so
-///     many seconds
-///   - previous(x), delta(x): the value before this one; the change since it
-///   - since(condition): seconds since the condition last became true, which includes that it was true at first
-///   - integral(x): the area under x, in its unit times seconds: straight from each value to the next
+///   - mean(x, seconds): the mean of the values of the last `seconds`
+///   - rate(x): the change per second since the previous value; rate(x, seconds): since the oldest value of the last
+///     `seconds`
+///   - previous(x), delta(x): the previous value; the change since it
+///   - since(condition): seconds since the condition last became true, also if it was true at the first event
+///   - integral(x): the area under x, in its unit times seconds: with a straight line from each value to the next
 ///   - age(x): seconds since x last had a new value; before the first one, since the first event
 /// `seconds` is a constant. Such a function takes a new value when a name in its argument has been `set` since the last
 /// evaluation, even if `? :`, `and` or `or` around it do not use it; setting one name does not affect functions of
@@ -28,7 +28,7 @@
 ///
 /// A name is words joined by dots, with an index where there is one: `altitude`, `imu.x`, `imu.accel[0]`. The "/" of a
 /// topic is written as a dot, since "/" divides: topic "room/climate", field "temperature" is
-/// `room.climate.temperature`. A name with other characters stands in single quotes: `'tank-1/level.value'`. A name of
+/// `room.climate.temperature`. A name with other characters must be in single quotes: `'tank-1/level.value'`. A name of
 /// the program that equals a constant (`e`) hides the constant.
 ///
 /// The constructor allocates all memory: setting, evaluating and resetting do not allocate, lock or throw. Owner: the
@@ -91,7 +91,7 @@ struct ExpressionResult {
 class Expression {
  public:
   static constexpr std::size_t max_length = 4096;  ///< bytes of a text
-  static constexpr std::size_t max_depth = 64;     ///< of parentheses, calls and operators within each other
+  static constexpr std::size_t max_depth = 64;     ///< of nested parentheses, calls and operators
   static constexpr std::size_t max_memories = 32;  ///< functions with a memory in one text
 
   /// The first mistake of a text, or none.
@@ -125,7 +125,7 @@ class Expression {
   void set_unknown(std::size_t index) noexcept;
   /// Evaluates for one event. `time`: the event's time; an earlier time than the last one counts as the last one.
   ExpressionResult evaluate(Time time) noexcept;
-  /// Why the last evaluation failed or waits, for people: "imu.x is not a finite number", "division by zero in column
+  /// Why the last evaluation failed or waits, as a text: "imu.x is not a finite number", "division by zero in column
   /// 7"; empty if it has a value. Allocates memory: do not call it for each event.
   std::string why() const;
   /// Forgets all values and memories.

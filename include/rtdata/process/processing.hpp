@@ -59,7 +59,7 @@ struct Calibration {
   OutsideTable outside = OutsideTable::refuse;    ///< of a table
   std::optional<double> least = {};               ///< a value below it is unreadable; before the tare
   std::optional<double> most = {};                ///< a value above it is unreadable; before the tare
-  /// 2 to 1000 pairs of raw and true value, no raw value twice: the line through them, which goes on outside. Without
+  /// 2 to 1000 pairs of raw and true value, no raw value twice: the line through them, which continues outside. Without
   /// scale, offset, polynomial and table.
   std::vector<std::array<double, 2>> points = {};
   double tare = 0;  ///< subtracted from the calibrated value, in its unit
@@ -70,7 +70,7 @@ struct CalibrationLine {
   double slope = 0;
   double x = 0;
   double y = 0;
-  double largest = 0;        ///< residual: true value less that of the line, whichever is farthest from 0
+  double largest = 0;        ///< largest residual: true value minus that of the line
   std::size_t farthest = 0;  ///< the point with this residual
 
   double value(double raw) const noexcept { return (raw - x) * slope + y; }
@@ -79,15 +79,15 @@ struct CalibrationLine {
 /// Calibration refuses.
 CalibrationLine line_through(std::span<const std::array<double, 2>> points) noexcept;
 
-/// The value of a raw one; NaN: outside the table, which refuses it. Bounds are not looked at.
+/// The value of a raw one; NaN: outside the table, which refuses it. `least` and `most` are not checked.
 double calibrated(const Calibration& calibration, double raw) noexcept;
 
 enum class FilterType : std::uint8_t { median, mean, exponential, clamp, throttle, delta, rate_of_change };
 
 struct Filter {
   FilterType type = FilterType::median;
-  std::optional<unsigned> of = {};    ///< samples: of a median odd, 3 to 255; of a mean 2 to 1000
-  std::optional<double> weight = {};  ///< of the new value in an exponential one: above 0, up to 1
+  std::optional<unsigned> of = {};    ///< number of samples. median: odd, 3 to 255; mean: 2 to 1000
+  std::optional<double> weight = {};  ///< exponential: weight of the new value, above 0, up to 1
   std::optional<double> least = {};   ///< of a clamp
   std::optional<double> most = {};    ///< of a clamp
   std::optional<Duration> time = {};  ///< of a throttle
@@ -116,7 +116,7 @@ struct Filter {
 struct FieldProcessing {
   std::optional<Calibration> calibration = {};
   std::vector<Filter> filters = {};      ///< at most 8
-  std::optional<std::string> unit = {};  ///< UCUM, of the calibrated value; unset: as that of the raw one
+  std::optional<std::string> unit = {};  ///< UCUM, of the calibrated value; unset: the unit of the raw value
 };
 
 /// The configuration of calibrations and filters: the key `process` of every sensor.
@@ -126,35 +126,39 @@ struct FieldProcessing {
 ///         "filters": [{"type": "median", "of": 5}, {"type": "throttle", "time": "1 s"}], "unit": "bar"}}}
 constexpr auto parameters(type_tag<Calibration>) {
   return parameter_list(
-      parameter("version", &Calibration::version, "kept in recordings; default: made from the numbers",
+      parameter("version", &Calibration::version, "version, kept in recordings; default: made from the numbers",
                 TextIs::recorded),
-      parameter("scale", &Calibration::scale, "the raw value is multiplied by it", not_zero),
-      parameter("offset", &Calibration::offset, "added to that"),
-      parameter("polynomial", &Calibration::polynomial, "its coefficients, of that: c0, c1, c2 ..., 2 to 10"),
-      parameter("table", &Calibration::table, "pairs of that and the value, 2 to 1000, straight between them"),
+      parameter("scale", &Calibration::scale, "factor of the raw value", not_zero),
+      parameter("offset", &Calibration::offset, "added after `scale`"),
+      parameter("polynomial", &Calibration::polynomial, "coefficients c0, c1, c2 ..., 2 to 10; applied after `offset`"),
+      parameter("table", &Calibration::table,
+                "pairs [input, value], 2 to 1000, with straight lines between them; applied after `offset`"),
       parameter("outside", &Calibration::outside, "how a value outside the table is treated",
                 choices(value("refuse", OutsideTable::refuse), value("clamp", OutsideTable::clamp),
                         value("extend", OutsideTable::extend))),
-      parameter("least", &Calibration::least, "a value below it is unreadable"),
-      parameter("most", &Calibration::most, "a value above it is unreadable"),
+      parameter("least", &Calibration::least, "smaller values are unreadable"),
+      parameter("most", &Calibration::most, "larger values are unreadable"),
       parameter("points", &Calibration::points,
-                "pairs of raw and true value, 2 to 1000: a straight line through them, alone"),
-      parameter("tare", &Calibration::tare, "subtracted at the end, after the bounds; `rtdata ctl tare` sets it"));
+                "pairs [raw value, true value], 2 to 1000: the calibration is a straight line through them, without "
+                "the settings above"),
+      parameter("tare", &Calibration::tare,
+                "subtracted at the end, after `least` and `most` are checked; `rtdata ctl tare` sets it"));
 }
 
 constexpr auto parameters(type_tag<Filter>) {
   using namespace std::chrono_literals;
   return parameter_list(
-      parameter("type", &Filter::type, "what it does", required,
+      parameter("type", &Filter::type, "what the filter does", required,
                 choices(value("median", FilterType::median), value("mean", FilterType::mean),
                         value("exponential", FilterType::exponential), value("clamp", FilterType::clamp),
                         value("throttle", FilterType::throttle), value("delta", FilterType::delta),
                         value("rate_of_change", FilterType::rate_of_change))),
-      parameter("of", &Filter::of, "number of samples: of a median odd, 3 to 255; of a mean 2 to 1000",
+      parameter("of", &Filter::of, "number of samples. median: odd, 3 to 255; mean: 2 to 1000",
                 only_with("type", "median", "mean")),
-      parameter("weight", &Filter::weight, "of the new value, above 0, up to 1", only_with("type", "exponential")),
-      parameter("least", &Filter::least, "values below it become it", only_with("type", "clamp")),
-      parameter("most", &Filter::most, "values above it become it", only_with("type", "clamp")),
+      parameter("weight", &Filter::weight, "weight of the new value: above 0, up to 1",
+                only_with("type", "exponential")),
+      parameter("least", &Filter::least, "smaller values are replaced by this value", only_with("type", "clamp")),
+      parameter("most", &Filter::most, "larger values are replaced by this value", only_with("type", "clamp")),
       parameter("time", &Filter::time, "at most one sample in this time", range(Duration{1}, Duration{24h}),
                 only_with("type", "throttle")),
       parameter("by", &Filter::by, "only values that differ by at least this from the last published one",
@@ -162,10 +166,12 @@ constexpr auto parameters(type_tag<Filter>) {
 }
 
 constexpr auto parameters(type_tag<FieldProcessing>) {
-  return parameter_list(
-      parameter("calibration", &FieldProcessing::calibration, "from the raw value, which is kept in `NAME.raw`"),
-      parameter("filters", &FieldProcessing::filters, "of the calibrated value, in their order; at most 8"),
-      parameter("unit", &FieldProcessing::unit, "of the calibrated value; default: that of the raw one", TextIs::unit));
+  return parameter_list(parameter("calibration", &FieldProcessing::calibration,
+                                  "makes the value from the raw value, which is kept in `NAME.raw`"),
+                        parameter("filters", &FieldProcessing::filters,
+                                  "filters of the calibrated value, applied in this order; at most 8"),
+                        parameter("unit", &FieldProcessing::unit,
+                                  "unit of the calibrated value; default: the unit of the raw value", TextIs::unit));
 }
 
 void check_config(const FieldProcessing& config, const ConfigItem& item, Problems& problems);

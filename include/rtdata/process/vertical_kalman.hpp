@@ -1,5 +1,5 @@
-/// VerticalKalman: height, vertical speed and acceleration of something that flies upwards, from a barometer and an
-/// accelerometer along its axis, or from one of both.
+/// VerticalKalman: height, vertical speed and acceleration of a flying object, from a barometer and an accelerometer
+/// along its axis, or from one of both.
 ///
 ///     rtdata::VerticalKalman rocket({.burn = std::chrono::seconds{7}});
 ///     rocket.take(time, {.height = 212.4, .acceleration = 3.1});   // m; g, 1 at rest

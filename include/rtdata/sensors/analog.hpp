@@ -68,11 +68,10 @@ struct AnalogConfig {
   friend constexpr auto parameters(type_tag<AnalogConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("file", &AnalogConfig::file, "the kernel's file with the converter's code", TextIs::device),
+        parameter("file", &AnalogConfig::file, "file of the kernel with the converter's code", TextIs::device),
         parameter("device", &AnalogConfig::device,
-                  "instead of a file: the IIO device of the converter, its name, label, number or path",
-                  TextIs::device),
-        parameter("channel", &AnalogConfig::channel, "of that device, such as voltage0", TextIs::recorded),
+                  "instead of a file: name, label, number or path of the IIO device of the converter", TextIs::device),
+        parameter("channel", &AnalogConfig::channel, "channel of that device, such as voltage0", TextIs::recorded),
         parameter("zero_value_voltage", &AnalogConfig::zero_value_voltage, "voltage at which the value is 0",
                   rtdata::unit("V")),
         parameter("span_value_voltage", &AnalogConfig::span_value_voltage,

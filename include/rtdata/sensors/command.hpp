@@ -1,4 +1,4 @@
-/// CommandSensor: a program of one's own whose lines are events: a Python script for a HAT, a tool that a maker ships.
+/// CommandSensor: a program of one's own whose lines are events: a Python script for a HAT, a tool of a manufacturer.
 ///
 ///     rtdata::CommandSensor weight(loop, {.name = "weight"},
 ///                                  {.run = {"python3", "hx711.py"},
@@ -39,7 +39,8 @@ struct CommandConfig {
     return parameter_list(
         parameter("run", &CommandConfig::run, "the program and its arguments, such as [\"python3\", \"hx711.py\"]",
                   rtdata::required),
-        parameter("pty", &CommandConfig::pty, "it prints to a terminal, so that it does not hold lines back"),
+        parameter("pty", &CommandConfig::pty,
+                  "true: the program prints to a terminal, so that it does not hold lines back"),
         include_member(&CommandConfig::lines));
   }
 };

@@ -51,10 +51,10 @@ struct CounterConfig {
     return parameter_list(
         include_member(&CounterConfig::input),
         parameter("per_pulse", &CounterConfig::per_pulse, "the amount of one pulse, in `unit`", not_zero),
-        parameter("unit", &CounterConfig::unit, "of `total` (UCUM), such as L, {rev}, mm, kW.h; empty: pulses",
+        parameter("unit", &CounterConfig::unit, "unit of `total` (UCUM), such as L, {rev}, mm, kW.h; empty: pulses",
                   TextIs::unit),
-        parameter("per", &CounterConfig::per, "the time in the unit of `speed`", choices("s", "min", "h")),
-        parameter("still_after", &CounterConfig::still_after, "without a pulse for this time, the frequency is 0",
+        parameter("per", &CounterConfig::per, "time unit of `speed`", choices("s", "min", "h")),
+        parameter("still_after", &CounterConfig::still_after, "after this time without a pulse, the frequency is 0",
                   range(Duration{1ms}, Duration{24h})));
   }
 };

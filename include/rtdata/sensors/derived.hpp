@@ -41,9 +41,11 @@ struct DerivedField {
   std::string unit = {};  ///< UCUM, of the result; nothing is converted
 
   friend constexpr auto parameters(type_tag<DerivedField>) {
-    return parameter_list(parameter("name", &DerivedField::name, "name of the field", required, TextIs::field),
-                          parameter("expression", &DerivedField::expression, "what it is", required, TextIs::recorded),
-                          parameter("unit", &DerivedField::unit, "of the result; nothing is converted", TextIs::unit));
+    return parameter_list(
+        parameter("name", &DerivedField::name, "name of the field", required, TextIs::field),
+        parameter("expression", &DerivedField::expression, "expression that gives its value", required,
+                  TextIs::recorded),
+        parameter("unit", &DerivedField::unit, "unit of the result; the value is not converted", TextIs::unit));
   }
 };
 
@@ -58,12 +60,14 @@ struct DerivedConfig {
   friend constexpr auto parameters(type_tag<DerivedConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("on", &DerivedConfig::on, "the topic: each of its events gives one", required, names_part("topic")),
+        parameter("on", &DerivedConfig::on, "the topic; each of its events gives one event of this sensor", required,
+                  names_part("topic")),
         parameter("with", &DerivedConfig::with, "other topics; their latest values are used", names_part("topic")),
-        parameter("age", &DerivedConfig::age, "older values of the topics `with` are not used: there is a gap",
+        parameter("age", &DerivedConfig::age, "older values of the topics `with` are not used; this makes a gap",
                   range(Duration{1us}, Duration{24h * 365})),
-        parameter("expression", &DerivedConfig::expression, "of a single field called `value`", TextIs::recorded),
-        parameter("unit", &DerivedConfig::unit, "of that field; nothing is converted", TextIs::unit),
+        parameter("expression", &DerivedConfig::expression, "expression of a single field called `value`",
+                  TextIs::recorded),
+        parameter("unit", &DerivedConfig::unit, "unit of that field; the value is not converted", TextIs::unit),
         parameter("fields", &DerivedConfig::fields, "several fields, instead of `expression`"));
   }
 };

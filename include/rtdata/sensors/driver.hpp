@@ -35,7 +35,7 @@
 /// `static Duration bus_time(const Config&)`, the longest of its calls without the transfers. A bus with a shorter
 /// limit is refused, in a configuration at its place, otherwise by a SetupError.
 ///
-/// A chip with registers that is on I2C or SPI, as the user likes, has `using Device = rtdata::RegisterDevice` and
+/// The driver of a chip with registers that supports both I2C and SPI has `using Device = rtdata::RegisterDevice` and
 /// `static RegisterAddressing addressing(const Config&)` (registers.hpp).
 ///
 /// A driver without open() is opened with one reading that is discarded, so that a missing chip is detected at the
@@ -43,8 +43,8 @@
 ///
 /// `registry.add_driver<Lm75>()` makes a driver available in configurations. A driver describes its chips (chip.hpp)
 /// with `static constexpr KnownChip chips[]`, by which `rtdata scan` finds them, and `static constexpr ChipSample
-/// samples[]`, by which tests try it. One whose chip tells which it is checks that with `check_identity`, and takes
-/// clones by the user's word (identity.hpp).
+/// samples[]`, by which tests try it. The driver of a chip with an identity checks it with `check_identity`, and
+/// accepts clones that the user has set (identity.hpp).
 ///
 /// State that a driver must keep between openings, such as a tare, is its `Memory`: it is copied with `Memory memory()
 /// const` after each completed read, and into a new driver object with `void remember(const Memory&)`. For a chip that
@@ -196,7 +196,7 @@ Result<void> check_place(const typename D::Config& config, const typename D::Dev
   if constexpr (requires { D::addressing(config).without_spi; }) {
     if (const std::string_view chip = D::addressing(config).without_spi; place.chip_select && !chip.empty())
       return Error{Errc::bad_argument, "cannot use this chip", "chip_select",
-                   "the " + std::string(chip) + " has no SPI", "put it on I2C, with its `address`"};
+                   "the " + std::string(chip) + " does not support SPI", "put it on I2C, with its `address`"};
   }
   return {};
 }

@@ -38,8 +38,8 @@ struct EdgeReading {
 struct EdgeConfig {
   GpioInput input = {};
   Duration silence{0};                                    ///< without an edge for longer, it has a gap; 0: no limit
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before trying a lost chip again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
+  Duration retry_first = std::chrono::milliseconds{100};  ///< first delay before trying a lost chip again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the delay doubles up to this
   bool required = false;                                  ///< a line that cannot be used at the start throws
   bool start = true;                                      ///< start when made
 
@@ -47,13 +47,14 @@ struct EdgeConfig {
     using namespace std::chrono_literals;
     return parameter_list(
         include_member(&EdgeConfig::input),
-        parameter("silence", &EdgeConfig::silence, "without an edge for longer, it is degraded and has a gap; 0: never",
+        parameter("silence", &EdgeConfig::silence,
+                  "after this time without an edge, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
-        parameter("retry_first", &EdgeConfig::retry_first, "wait before the program looks for a lost chip again",
+        parameter("retry_first", &EdgeConfig::retry_first, "first delay before the program looks for a lost chip again",
                   range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &EdgeConfig::retry_longest, "the wait doubles up to this",
+        parameter("retry_longest", &EdgeConfig::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
-        parameter("required", &EdgeConfig::required, "a line that cannot be used at the start ends the program"),
+        parameter("required", &EdgeConfig::required, "true: the program ends if the line cannot be used at the start"),
         parameter("start", &EdgeConfig::start, "start it with the system"));
   }
 };

@@ -6,14 +6,14 @@
 /// At its rate it publishes
 /// - `count`: the kernel's counter, extended when it wraps around;
 /// - `position`: count * per_count, in `unit`;
-/// - `speed`: the change of position since the last reading, in `unit` a `per`; no value of the first reading;
-/// - `direction`: forward or backward, as the hardware saw it last; no value where the driver does not tell it.
+/// - `speed`: the change of position since the last reading, in `unit` a `per`; absent in the first reading;
+/// - `direction`: forward or backward, as the hardware saw it last; absent if the driver does not report it.
 ///
 /// The counter wraps around after `ceiling`, if the driver has that attribute; after 2^bits, if `bits` is set; and
 /// after 32 bits, if the kernel shows negative numbers of 32 bits, as interrupt-cnt does. Between two readings a
 /// counter in both directions may move by less than half of that range, an upward counter by less than the whole range:
-/// faster changes are not detected. If an upward counter without a known range goes back, somebody has set it: that
-/// reading fails, and the next one starts with the new count.
+/// faster changes are not detected. If an upward counter without a known range goes back, another program has set it:
+/// that reading fails, and the next one starts with the new count.
 ///
 /// The driver's `function` decides how many edges of a quadrature encoder count (one, two or four a period). If set
 /// here, it is written to the driver when the counter is opened; otherwise it does not change. `per_count` must match
@@ -62,18 +62,19 @@ struct EncoderConfig {
     using namespace std::chrono_literals;
     using C = EncoderConfig;
     return parameter_list(
-        parameter("device", &C::device, "the counter: its name, number or path; empty: the only one that there is",
-                  TextIs::device),
-        parameter("channel", &C::channel, "the count of that counter: its name or number; empty: the only one",
+        parameter("device", &C::device, "name, number or path of the counter; empty: the only one", TextIs::device),
+        parameter("channel", &C::channel, "name or number of a count of that counter; empty: the only one",
                   TextIs::recorded),
-        parameter(
-            "function", &C::function,
-            "which of its signals it counts, as the driver calls it, such as \"quadrature x4\"; empty: as it is set",
-            TextIs::recorded),
+        parameter("function", &C::function,
+                  "which signals are counted and how, in the words of the driver, such as \"quadrature x4\"; empty: "
+                  "unchanged",
+                  TextIs::recorded),
         parameter("per_count", &C::per_count, "the amount of one count, in `unit`", not_zero),
-        parameter("unit", &C::unit, "of `position` (UCUM), such as {rev}, mm, rad, L; empty: counts", TextIs::unit),
-        parameter("per", &C::per, "the time in the unit of `speed`", choices("s", "min", "h")),
-        parameter("bits", &C::bits, "it wraps around after this number of bits; 0: as its driver says", range(0, 63)),
+        parameter("unit", &C::unit, "unit of `position` (UCUM), such as {rev}, mm, rad, L; empty: counts",
+                  TextIs::unit),
+        parameter("per", &C::per, "time unit of `speed`", choices("s", "min", "h")),
+        parameter("bits", &C::bits, "number of bits after which the count wraps around; 0: as the driver says",
+                  range(0, 63)),
         parameter("root", &C::root, "prefix of /sys, such as the host's root folder in a container", TextIs::device),
         parameter("timeout", &C::timeout, "a read that takes longer is given up", range(Duration{1ms}, Duration{1h})));
   }

@@ -18,18 +18,19 @@ namespace rtdata {
 
 struct FeedConfig {
   std::string name;         ///< unique in the runtime, and not of one that had a schedule; the origin of its events
-  std::string topic = {};   ///< empty: as the name
+  std::string topic = {};   ///< empty: the name
   Processing process = {};  ///< calibration and filters of its fields
-  Duration warm_up{0};      ///< samples so soon after its source was opened are filtered
+  Duration warm_up{0};      ///< samples in this time after opening are discarded (filtered)
 };
 
 constexpr auto parameters(type_tag<FeedConfig>) {
   using namespace std::chrono_literals;
   return parameter_list(
       parameter("name", &FeedConfig::name, "the origin of its events, unique in the file", required, TextIs::name),
-      parameter("topic", &FeedConfig::topic, "where it publishes; empty: as its name", TextIs::topic),
-      parameter("process", &FeedConfig::process, "calibration and filters, by field"),
-      parameter("warm_up", &FeedConfig::warm_up, "samples so soon after its source was opened are filtered",
+      parameter("topic", &FeedConfig::topic, "topic of its events; empty: its name", TextIs::topic),
+      parameter("process", &FeedConfig::process, "calibration and filters of each field"),
+      parameter("warm_up", &FeedConfig::warm_up,
+                "samples in this time after opening the source are discarded (counted as filtered)",
                 range(Duration{0}, Duration{24h})));
 }
 

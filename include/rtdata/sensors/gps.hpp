@@ -83,32 +83,35 @@ struct GpsFix {
 };
 
 struct GpsConfig {
-  std::string host = "localhost";                         ///< where gpsd runs: a name or an address
-  std::uint16_t port = 2947;                              ///< of gpsd
-  std::string device = {};                                ///< gpsd's name of the receiver; empty: any
-  Duration silence = std::chrono::seconds{10};            ///< without a fix report for longer: a gap; 0: no limit
-  Duration report_delay = std::chrono::seconds{1};        ///< longest delay of a report; 0: not a time source
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before the program connects to a lost gpsd again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
-  bool required = false;                                  ///< gpsd that does not answer at the start throws
-  bool start = true;                                      ///< start when made
+  std::string host = "localhost";                   ///< host name or IP address of the computer with gpsd
+  std::uint16_t port = 2947;                        ///< of gpsd
+  std::string device = {};                          ///< gpsd's name of the receiver; empty: any
+  Duration silence = std::chrono::seconds{10};      ///< without a fix report for longer: a gap; 0: no limit
+  Duration report_delay = std::chrono::seconds{1};  ///< longest delay of a report; 0: not a time source
+  Duration retry_first = std::chrono::milliseconds{
+      100};                                           ///< first delay before the program connects to a lost gpsd again
+  Duration retry_longest = std::chrono::seconds{10};  ///< the delay doubles up to this
+  bool required = false;                              ///< gpsd that does not answer at the start throws
+  bool start = true;                                  ///< start when made
 
   friend constexpr auto parameters(type_tag<GpsConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("host", &GpsConfig::host, "where gpsd runs: a name or an address"),
-        parameter("port", &GpsConfig::port, "of gpsd", range(1, 65535)),
-        parameter("device", &GpsConfig::device, "the receiver, as gpsd names it; empty: the only one that gpsd has"),
-        parameter("silence", &GpsConfig::silence, "without a report for longer, it is degraded and has a gap; 0: never",
+        parameter("host", &GpsConfig::host, "host name or IP address of the computer that runs gpsd"),
+        parameter("port", &GpsConfig::port, "port of gpsd", range(1, 65535)),
+        parameter("device", &GpsConfig::device, "name of the receiver in gpsd; empty: the only one that gpsd has"),
+        parameter("silence", &GpsConfig::silence,
+                  "after this time without a report, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
         parameter("report_delay", &GpsConfig::report_delay,
-                  "from a fix to its report at most: the accuracy of the time of day that it gives; 0: it gives none",
+                  "longest delay from a fix to its report; this is the accuracy of the receiver's time of day; 0: its "
+                  "time is not used",
                   range(Duration{0}, Duration{1min})),
-        parameter("retry_first", &GpsConfig::retry_first, "wait before the program connects to a lost gpsd again",
-                  range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &GpsConfig::retry_longest, "the wait doubles up to this",
+        parameter("retry_first", &GpsConfig::retry_first,
+                  "first delay before the program connects to a lost gpsd again", range(Duration{1ms}, Duration{1h})),
+        parameter("retry_longest", &GpsConfig::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
-        parameter("required", &GpsConfig::required, "gpsd that cannot be reached at the start ends the program"),
+        parameter("required", &GpsConfig::required, "true: the program ends if gpsd cannot be reached at the start"),
         parameter("start", &GpsConfig::start, "start it with the system"));
   }
 };

@@ -56,7 +56,7 @@ constexpr auto describe(type_tag<HostQuantity>) {
 
 /// Shares of the time since the last read, "%"; they add up to 100.
 struct HostCpu {
-  double busy = 0;  ///< all but idle and iowait
+  double busy = 0;  ///< all except idle and iowait
   double user = 0;
   double nice = 0;
   double system = 0;
@@ -111,7 +111,7 @@ struct HostNetwork {
   RTDATA_FIELDS(HostNetwork, (received_bytes, "By"), (received_packets), (receive_errors), (receive_drops),
                 (sent_bytes, "By"), (sent_packets), (send_errors), (send_drops))
 };
-/// Since the machine's start, but for the last two.
+/// Since the machine's start, except the last two.
 struct HostScheduler {
   std::uint64_t context_switches = 0;
   std::uint64_t interrupts = 0;
@@ -181,7 +181,7 @@ struct HostConfig {
   friend constexpr auto parameters(type_tag<HostConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("quantity", &HostConfig::quantity, "what is read", required),
+        parameter("quantity", &HostConfig::quantity, "what to read", required),
         parameter("device", &HostConfig::device, "which CPU, disk, network interface, thermometer, or input of hwmon",
                   only_with("quantity", "cpu", "disk", "network", "temperature", "frequency", "voltage", "current",
                             "power", "fan", "humidity", "energy")),

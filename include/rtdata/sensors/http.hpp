@@ -6,16 +6,16 @@
 ///                                         {.name = "temperature", .key = "temperature.tC", .unit = "Cel"}}});
 ///
 /// An answer is an object or array of JSON, from which `fields` take values by their keys ("sensors.0.t" reaches into
-/// arrays); or a line of CSV: the first one after `skip_lines` that is not empty and that `only` does not leave out;
-/// what follows it is not read; or rows of a label and a value. The time of the event is when the request began.
+/// arrays); or a line of CSV: the first one after `skip_lines` that is not empty and that `only` selects; the rest is
+/// not read; or rows of a label and a value. The time of the event is when the request began.
 ///
 /// - Only status 200 brings an event. Another status, no connection, no complete answer within `timeout` are failures,
 ///   after which the sensor asks as other sensors read again (sensor.hpp).
 /// - Redirections are not followed: the error says where they lead.
 /// - An answer that cannot be decoded, or longer than `max_answer`, is unreadable. No more of it is kept in memory.
-/// - An answer that `only` leaves out counts as filtered.
+/// - An answer that `only` does not select counts as filtered.
 /// - If the server marked its last answer with an ETag, the request says so. Its answer 304, nothing new, counts as
-///   repeated. With `method` post there is none of that.
+///   repeated. Not with `method` post.
 ///
 /// Sensors at one server (scheme, host, port) share a lane: small devices serve one request at a time. One that does
 /// not answer delays the others at this server, by up to `timeout`, and nothing else. The connection is kept. Stopping
@@ -52,11 +52,11 @@ struct HttpSensorConfig {
   std::string content_type = "application/json";
   LineFormat format = LineFormat::json;  ///< json, csv, labels or pattern
   std::vector<LineField> fields = {};
-  char separator = ',';      ///< CSV: between the columns; labels: between label and value; a blank: any number of them
-  unsigned skip_lines = 0;   ///< CSV: lines before the one that is read, such as a heading
-  std::string pattern = {};  ///< of `format` pattern, searched for in the whole answer
-  std::optional<LineMatch> only = {};           ///< answers, of CSV lines, that are meant
-  std::optional<LineMatch> unreadable_if = {};  ///< answers by which the device says that it has no value
+  char separator = ',';  ///< CSV: between the columns; labels: between label and value; a blank: any number of blanks
+  unsigned skip_lines = 0;                      ///< CSV: lines before the one that is read, such as a heading
+  std::string pattern = {};                     ///< of `format` pattern, searched for in the whole answer
+  std::optional<LineMatch> only = {};           ///< which answers (CSV: lines) become events
+  std::optional<LineMatch> unreadable_if = {};  ///< answers that mean that the device has no value
   std::size_t max_answer = 65536;               ///< bytes; a longer one is unreadable
   Duration timeout = std::chrono::seconds{5};   ///< from name lookup to the end of the answer
 
@@ -65,27 +65,31 @@ struct HttpSensorConfig {
     return parameter_list(
         include_member(&HttpSensorConfig::server),
         parameter("digest", &HttpSensorConfig::digest,
-                  "authenticate by digest, as newer Shelly devices want, instead of basic"),
-        parameter("method", &HttpSensorConfig::method, "of the request; get has no body"),
+                  "true: digest authentication instead of basic; newer Shelly devices need it"),
+        parameter("method", &HttpSensorConfig::method, "method of the request; get has no body"),
         parameter("text", &HttpSensorConfig::text, "the body of the request", only_with("method", "post")),
-        parameter("content_type", &HttpSensorConfig::content_type, "of the body", only_with("method", "post")),
-        parameter("format", &HttpSensorConfig::format, "how an answer is written",
+        parameter("content_type", &HttpSensorConfig::content_type, "content type of the body",
+                  only_with("method", "post")),
+        parameter("format", &HttpSensorConfig::format, "format of an answer",
                   choices(value("json", LineFormat::json), value("csv", LineFormat::csv),
                           value("labels", LineFormat::labels), value("pattern", LineFormat::pattern))),
-        parameter("fields", &HttpSensorConfig::fields, "what is in an answer", rtdata::required),
-        parameter("separator", &HttpSensorConfig::separator, "between the columns of CSV, or label and value",
+        parameter("fields", &HttpSensorConfig::fields, "values in an answer", rtdata::required),
+        parameter("separator", &HttpSensorConfig::separator,
+                  "character between the columns of CSV, or between label and value",
                   only_with("format", "csv", "labels")),
         parameter("pattern", &HttpSensorConfig::pattern, "a regular expression with a named group for each field",
                   only_with("format", "pattern")),
-        parameter("skip_lines", &HttpSensorConfig::skip_lines, "lines before the one that is read, such as a heading",
-                  range(0, 1000), only_with("format", "csv")),
+        parameter("skip_lines", &HttpSensorConfig::skip_lines,
+                  "number of lines before the one that is read, such as a heading", range(0, 1000),
+                  only_with("format", "csv")),
         parameter("only", &HttpSensorConfig::only,
-                  "the answers, or lines of CSV, that are meant; others are left out, and count as filtered"),
+                  "which answers, or lines of CSV, become events; others are skipped and count as filtered"),
         parameter("unreadable_if", &HttpSensorConfig::unreadable_if,
                   "answers by which the device says that it has no value"),
         parameter("max_answer", &HttpSensorConfig::max_answer, "a longer answer is unreadable", rtdata::unit("By"),
                   range(16, 1048576)),
-        parameter("timeout", &HttpSensorConfig::timeout, "from looking up the name to the end of the answer",
+        parameter("timeout", &HttpSensorConfig::timeout,
+                  "time limit from the lookup of the host name to the end of the answer",
                   range(Duration{10ms}, Duration{10min})));
   }
 };

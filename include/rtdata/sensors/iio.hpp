@@ -46,9 +46,9 @@ struct IioConfig {
   friend constexpr auto parameters(type_tag<IioConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("device", &IioConfig::device, "the IIO device: its name, label, number or path", required,
+        parameter("device", &IioConfig::device, "name, label, number or path of the IIO device", required,
                   TextIs::device),
-        parameter("channels", &IioConfig::channels, "what is read, such as accel_x or voltage0", required,
+        parameter("channels", &IioConfig::channels, "channels to read, such as accel_x or voltage0", required,
                   TextIs::recorded),
         parameter("root", &IioConfig::root, "prefix of /sys, such as the host's root folder in a container",
                   TextIs::device),
@@ -58,17 +58,17 @@ struct IioConfig {
 };
 
 struct IioBufferConfig {
-  std::string device = {};                                ///< name, label, number, or path below /sys or /dev
-  std::vector<std::string> channels = {};                 ///< "accel_x", "voltage0-voltage1"
-  std::string trigger = {};                               ///< its name; empty: the device's own, or the present one
-  std::optional<Rate> rate = {};                          ///< set in trigger or device; unset: unchanged
-  std::size_t length = 512;                               ///< scans that the kernel's buffer holds
-  std::size_t watermark = 1;                              ///< scans at a time: more cost less, and come later
-  std::string root = {};                                  ///< put before /sys and /dev
-  Duration timeout = std::chrono::seconds{5};             ///< opening that takes longer is given up
-  Duration silence{0};                                    ///< silent for longer, it has a gap; 0: it may be silent
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
+  std::string device = {};                     ///< name, label, number, or path below /sys or /dev
+  std::vector<std::string> channels = {};      ///< "accel_x", "voltage0-voltage1"
+  std::string trigger = {};                    ///< its name; empty: the device's own, or the present one
+  std::optional<Rate> rate = {};               ///< set in trigger or device; unset: unchanged
+  std::size_t length = 512;                    ///< scans that the kernel's buffer holds
+  std::size_t watermark = 1;                   ///< scans read at a time: more need less time, but arrive later
+  std::string root = {};                       ///< put before /sys and /dev
+  Duration timeout = std::chrono::seconds{5};  ///< opening that takes longer is given up
+  Duration silence{0};                         ///< silent for longer, it has a gap; 0: it may be silent
+  Duration retry_first = std::chrono::milliseconds{100};  ///< first delay before a lost device is opened again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the delay doubles up to this
   bool required = false;                                  ///< a device that cannot be opened at the start throws
   bool start = true;                                      ///< start when made
 
@@ -76,26 +76,28 @@ struct IioBufferConfig {
     using namespace std::chrono_literals;
     using C = IioBufferConfig;
     return parameter_list(
-        parameter("device", &C::device, "the IIO device: its name, label, number or path", rtdata::required,
+        parameter("device", &C::device, "name, label, number or path of the IIO device", rtdata::required,
                   TextIs::device),
-        parameter("channels", &C::channels, "what is in a scan, such as accel_x or voltage0", rtdata::required,
+        parameter("channels", &C::channels, "channels of a scan, such as accel_x or voltage0", rtdata::required,
                   TextIs::recorded),
-        parameter("trigger", &C::trigger, "name of the trigger; empty: the device's own, or the one that it has",
-                  TextIs::recorded),
-        parameter("rate", &C::rate, "scans a second, set in the trigger or the device; unset: left as it is"),
-        parameter("length", &C::length, "scans that the kernel's buffer holds", range(2, 65536)),
-        parameter("watermark", &C::watermark, "scans that are taken at a time: more cost less, and come later",
+        parameter("trigger", &C::trigger,
+                  "name of the trigger; empty: the device's own, or the one that is set already", TextIs::recorded),
+        parameter("rate", &C::rate, "scans per second, set in the trigger or the device; unset: unchanged"),
+        parameter("length", &C::length, "number of scans that the kernel's buffer holds", range(2, 65536)),
+        parameter("watermark", &C::watermark,
+                  "number of scans that are read at a time; more need less processor time, but arrive later",
                   range(1, 65536)),
         parameter("root", &C::root, "prefix of /sys and /dev, such as the host's root folder in a container",
                   TextIs::device),
         parameter("timeout", &C::timeout, "opening that takes longer is given up", range(Duration{1ms}, Duration{1h})),
-        parameter("silence", &C::silence, "silent for longer, it is degraded and has a gap; 0: never",
+        parameter("silence", &C::silence,
+                  "after this time without data, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
-        parameter("retry_first", &C::retry_first, "wait before a lost device is opened again",
+        parameter("retry_first", &C::retry_first, "first delay before a lost device is opened again",
                   range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &C::retry_longest, "the wait doubles up to this",
+        parameter("retry_longest", &C::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
-        parameter("required", &C::required, "true: if the device cannot be opened at the start, the program ends"),
+        parameter("required", &C::required, "true: the program ends if the device cannot be opened at the start"),
         parameter("start", &C::start, "start it with the system"));
   }
 };

@@ -33,10 +33,12 @@ struct GpioLevel {
   friend constexpr auto parameters(type_tag<GpioLevel>) {
     return parameter_list(
         parameter("name", &GpioLevel::name, "name of the field", required, TextIs::field),
-        parameter("line", &GpioLevel::line, "its name (\"GPIO17\"), its number on the chip (17), or \"gpiochip0:17\"",
-                  required),
-        parameter("chip", &GpioLevel::chip, "its chip, such as gpiochip0; empty: the one that has the line"),
-        parameter("bias", &GpioLevel::bias, "the resistor in the chip"),
+        parameter(
+            "line", &GpioLevel::line,
+            "name of the line (\"GPIO17\"), its number on the chip (17), or both chip and number (\"gpiochip0:17\")",
+            required),
+        parameter("chip", &GpioLevel::chip, "chip of the line, such as gpiochip0; empty: the chip that has the line"),
+        parameter("bias", &GpioLevel::bias, "pull-up or pull-down resistor in the chip"),
         parameter("active_low", &GpioLevel::active_low, "the line is active when it is low"));
   }
 };

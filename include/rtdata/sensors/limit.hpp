@@ -4,10 +4,10 @@
 ///                               {.on = "tank", .field = "pressure", .high = 5e5, .hysteresis = 1e4, .latched = true});
 ///     alarm.acknowledge();
 ///
-/// process/limits.hpp defines levels, alarms and acknowledgement. It publishes an event for the first value and for
-/// each change. An unknown value (the field is absent, the topic has no such number, no event for `silence`) is a level
-/// too; without events the sensor is also faulted, with a gap. `stop` publishes an unknown value, because nothing is
-/// watched then; closing the limit and the end of its run publish nothing.
+/// process/limits.hpp defines levels, alarms and acknowledgement. The sensor publishes an event for the first value and
+/// for each change. An unknown value (the field is absent, the topic has no such number, no event for `silence`) is a
+/// level too; without events the sensor is also faulted, with a gap. `stop` publishes an unknown value, because nothing
+/// is watched then; closing the limit and the end of its run publish nothing.
 ///
 /// Frequent changes are joined: after an event, changes within `join` are held back and counted, and the result is
 /// published when `join` is over. A worse alarm, or one on the other side, is published at once. So a value that
@@ -46,17 +46,19 @@ struct LimitConfig {
     return parameter_list(
         parameter("on", &C::on, "the topic", required, names_part("topic")),
         parameter("field", &C::field, "path of the field; default: `value`, or the only number", TextIs::recorded),
-        parameter("low_low", &C::low_low, "lesser values are critical"),
-        parameter("low", &C::low, "lesser values are a warning"),
-        parameter("high", &C::high, "greater values are a warning"),
-        parameter("high_high", &C::high_high, "greater values are critical"),
-        parameter("hysteresis", &C::hysteresis, "a level ends when the value is back by this much", range(0.0, 1e300)),
+        parameter("low_low", &C::low_low, "smaller values are critical"),
+        parameter("low", &C::low, "smaller values are a warning"),
+        parameter("high", &C::high, "larger values are a warning"),
+        parameter("high_high", &C::high_high, "larger values are critical"),
+        parameter("hysteresis", &C::hysteresis, "a level ends when the value is back inside the limit by this much",
+                  range(0.0, 1e300)),
         parameter("delay", &C::delay, "a level begins when the value has been beyond the limit for this time",
                   range(Duration{0}, longest)),
         parameter("latched", &C::latched, "the alarm stays until it is acknowledged"),
-        parameter("silence", &C::silence, "without an event for longer, the value is unknown; 0: never",
+        parameter("silence", &C::silence, "after this time without an event, the value is unknown; 0: never",
                   range(Duration{0}, longest)),
-        parameter("join", &C::join, "further changes within this time are joined, unless the alarm is worse",
+        parameter("join", &C::join,
+                  "further changes within this time become one event, except changes to a worse alarm",
                   range(Duration{0}, Duration{1h})));
   }
 };

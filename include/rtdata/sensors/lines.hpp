@@ -7,41 +7,39 @@
 ///   Blanks and double quotes around a column are removed; within quotes a separator belongs to the column and a quote
 ///   is written twice. JSON: one object or array a line, keys in any order, other keys ignored; "imu.ax" as a field's
 ///   `key` selects from nested objects, "emeters.0.power" from arrays, "values[type=P1].value" from the first object of
-///   an array whose member `type` is P1. A number may stand in quotes.
+///   an array whose member `type` is P1. A number may be in quotes.
 /// - An empty column (JSON: null, or no such key) makes an `optional` field absent and a text empty; for other fields
 ///   it is an error. Numbers are rounded to the nearest representable one: 1e-400 is 0. A bool is true, false, 1 or 0,
 ///   in upper or lower case. A byte order mark at the beginning is ignored.
-/// - Text around a number is taken off by a field's `prefix`, `suffix`, `decimal`, `thousands`, `base` and
-///   `sign_blanks`; `no_value` and `words` name texts that stand for no value, and for numbers. In JSON, such a field
-///   may be a text.
+/// - Text around a number is removed by a field's `prefix`, `suffix`, `decimal`, `thousands`, `base` and `sign_blanks`;
+///   `no_value` and `words` name texts that mean no value, or a number. In JSON, such a field may be a text.
 /// - `only` chooses lines by a column, a key or their text, frames by bytes at a place: others count as filtered,
 ///   unless their checksum is wrong. Lines that match `unreadable_if`, and those with a wrong `checksum`, are
 ///   unreadable.
 /// - A line ends with a newline, or with `line_end`; a carriage return before it is ignored. The sensor skips empty
 ///   lines, lines that begin with `comment`, and the first `skip_lines` lines after opening.
-/// - The bytes up to the first newline after opening may be half a line: they are discarded and counted
+/// - The bytes up to the first newline after opening may be an incomplete line: they are discarded and counted
 ///   (`SensorCounts::first_lines`), unless `first_line` is `keep` or no byte came for 100 ms after opening.
 /// - An unusable line (a missing column, not a number, out of its type's range, longer than `max_line`) is counted as
 ///   unreadable and reported; other lines are not affected.
 /// - `sequence_field` names an integer with which the device numbers its lines: a jump counts as lost, minus the
 ///   unusable lines in between; an equal number counts as repeated and is not published. A number that goes back is a
 ///   restart of the device, unless the field's type wraps around. A line whose number makes a jump is held until the
-///   next one, for `silence` or a second at most: when that takes the jump back, as after a wrong digit, the line is
-///   unreadable; else both are published with their own times.
+///   next one, for `silence` or a second at most: if that one continues the old sequence, as after a wrong digit, the
+///   line is unreadable; otherwise both are published with their own times.
 /// - `format` pattern: `pattern` is a regular expression of Perl's kind (PCRE2), searched for in the line; each of its
 ///   named groups is the text of the field with this name, or `key`: "T:(?<temp>[-0-9.]+)C". A group that takes part in
-///   no match is an empty column. Without a match the line is unreadable, and with a search that takes more than
-///   20 000 steps and 8 for each byte, too. `only` and `unreadable_if` may have a `pattern` as well.
+///   no match is an empty column. The line is unreadable without a match, or if the search takes more than 20 000 steps
+///   plus 8 for each byte. `only` and `unreadable_if` may have a `pattern` as well.
 /// - `device_time` names the field that is the device's clock. The time of an event is then the device's, shifted by
-///   the shortest way that a line has taken from the device to the read, and never later than the read. A clock that
-///   wraps around goes on; one that goes back, or differs by more than before (a second ahead, a minute behind), has
-///   started again.
+///   the shortest delay of a line between device and read so far, and never later than the read. A clock that wraps
+///   around continues; a clock that goes back, or suddenly differs (a second ahead, a minute behind), has restarted.
 /// - With `frame`, events are frames of bytes instead of lines, of CSV or JSON, of rows with labels (`format` labels: a
 ///   field's `key` is the label, `column` counts what follows), or of binary fields by their place (`format` binary:
-///   `at`, `wire`, `bytes`, `bit`, `mask`, `bcd`). With `stuffing`, what a frame held before its sender stuffed it is
-///   decoded, without its marks. A `pattern` may be of bytes, too ("\\x07\\x01(?<energy>.{8})"): the group of a field
-///   that has a `wire` is bytes. Bytes outside of frames are unreadable, once for each stretch of them. After an
-///   unusable frame the next start is looked for within it, up to 16 times.
+///   `at`, `wire`, `bytes`, `bit`, `mask`, `bcd`). With `stuffing`, frames are unescaped before they are decoded. A
+///   `pattern` may be of bytes, too ("\\x07\\x01(?<energy>.{8})"): the group of a field that has a `wire` is bytes.
+///   Bytes outside of frames are unreadable, once for each stretch of them. After an unusable frame the next start is
+///   searched inside it, up to 16 times.
 /// - Without a byte for longer than `silence` the sensor is degraded until a good line comes, with a gap (silent).
 /// - Without a line end for max(4 KiB, `max_line`), for example at the wrong speed, the sensor is degraded, and this
 ///   counts as one unreadable line.
@@ -80,28 +78,28 @@ struct LineField {
   Kind type = Kind::f64;       ///< any but enumeration and record
   std::string unit = {};       ///< UCUM
   double scale = 1;            ///< a float or double is multiplied by it
-  std::string key = {};        ///< JSON: where it is in the object, levels separated by dots; empty: as the name
-  std::size_t length = 32;     ///< of a text: the most bytes it may have
+  std::string key = {};        ///< JSON: path of the value, with dots between levels; empty: the name
+  std::size_t length = 32;     ///< of a text: the most bytes that it may have
   bool optional = false;       ///< an empty column, null or a missing key makes the field absent; otherwise an error
-  std::string prefix = {};     ///< what a value begins with, such as "T="; without it the line is unreadable
-  std::string suffix = {};     ///< what it ends with, such as " kg"
+  std::string prefix = {};     ///< text before the value, such as "T="; without it the line is unreadable
+  std::string suffix = {};     ///< text after the value, such as " kg"
   char decimal = '.';          ///< the decimal mark: a point or a comma
-  std::string thousands = {};  ///< one character that may stand between digits; empty: none
+  std::string thousands = {};  ///< one character that is allowed between digits; empty: none
   unsigned base = 10;          ///< of whole numbers, 2 to 16: 16 reads "0x1f" and "1F", and as int16 "FFFF" as -1
-  bool sign_blanks = false;    ///< blanks may stand between sign and digits: "-  12.5"
-  std::size_t column = 1;      ///< labels: which of the columns after the label
-  std::optional<std::size_t> at = {};        ///< binary: the first byte in the frame, from 0
-  std::optional<Kind> wire = {};             ///< binary: the type in the frame; empty: as `type`; pattern: of bytes
-  std::size_t bytes = 0;                     ///< binary: how many of them, of a whole number; 0: as `wire` has
-  std::optional<unsigned> bit = {};          ///< of these: the only bit that is meant, 0 is the lowest
-  std::optional<std::uint64_t> mask = {};    ///< of these: the bits that are meant, moved down to bit 0
-  bool bcd = false;                          ///< of these: each byte is two decimal digits
-  std::vector<std::string> no_value = {};    ///< texts or numbers that stand for no value; makes the field optional
-  std::map<std::string, double> words = {};  ///< words that stand for numbers, which are not scaled
+  bool sign_blanks = false;    ///< blanks are allowed between sign and digits: "-  12.5"
+  std::size_t column = 1;      ///< labels: number of the column after the label
+  std::optional<std::size_t> at = {};      ///< binary: position of the first byte in the frame, from 0
+  std::optional<Kind> wire = {};           ///< binary: the type in the frame; pattern: of the raw bytes; empty: `type`
+  std::size_t bytes = 0;                   ///< binary: number of bytes of a whole number; 0: as many as `wire` has
+  std::optional<unsigned> bit = {};        ///< binary: the value is this bit, 0 is the lowest
+  std::optional<std::uint64_t> mask = {};  ///< binary: the value is these bits, moved down to bit 0
+  bool bcd = false;                        ///< binary: each byte is two decimal digits
+  std::vector<std::string> no_value = {};  ///< texts or numbers that mean no value; makes the field optional
+  std::map<std::string, double> words = {};  ///< words that mean numbers, which are not scaled
 
   friend constexpr auto parameters(type_tag<LineField>) {
     return parameter_list(
-        parameter("name", &LineField::name, "name of the field; without one the column is not kept", TextIs::field),
+        parameter("name", &LineField::name, "name of the field; without a name the column is skipped", TextIs::field),
         parameter("type", &LineField::type, "type of the value",
                   choices(value("bool", Kind::boolean), value("char", Kind::character), value("int8", Kind::i8),
                           value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
@@ -112,33 +110,32 @@ struct LineField {
         parameter("scale", &LineField::scale, "factor, for float and double", not_zero,
                   only_with("type", "float", "double")),
         parameter("key", &LineField::key,
-                  "JSON: where it is, levels separated by dots; labels: the label; empty: as the name"),
-        parameter("column", &LineField::column, "labels: which of the columns after the label", range(1, 64)),
-        parameter("at", &LineField::at, "binary: the first byte in the frame, from 0", range(0, 65535)),
+                  "JSON: path of the value, with dots between levels; labels: the label; empty: the name"),
+        parameter("column", &LineField::column, "labels: number of the column after the label", range(1, 64)),
+        parameter("at", &LineField::at, "binary: position of the first byte in the frame, from 0", range(0, 65535)),
         parameter("wire", &LineField::wire,
-                  "binary: its type in the frame, if it is another; pattern: its group is bytes of this type",
+                  "binary: the type in the frame, if it differs from `type`; pattern: the group contains raw bytes of "
+                  "this type",
                   choices(value("int8", Kind::i8), value("int16", Kind::i16), value("int32", Kind::i32),
                           value("int64", Kind::i64), value("uint8", Kind::u8), value("uint16", Kind::u16),
                           value("uint32", Kind::u32), value("uint64", Kind::u64), value("float", Kind::f32),
                           value("double", Kind::f64))),
         parameter("bytes", &LineField::bytes,
-                  "binary: how many bytes a whole number has, such as 3; 0: as its type has", range(0, 8)),
-        parameter("bit", &LineField::bit, "binary: the only bit of its bytes that is meant; 0 is the lowest",
-                  range(0, 63)),
-        parameter("mask", &LineField::mask, "binary: the bits that are meant, moved down to bit 0; default: all"),
+                  "binary: number of bytes of a whole number, such as 3; 0: as many as its type has", range(0, 8)),
+        parameter("bit", &LineField::bit, "binary: the value is this bit of the bytes; 0 is the lowest", range(0, 63)),
+        parameter("mask", &LineField::mask,
+                  "binary: the value is these bits of the bytes, moved down to bit 0; default: all"),
         parameter("bcd", &LineField::bcd, "binary: each byte is two decimal digits"),
-        parameter("length", &LineField::length, "of a text: the most bytes it may have", range(1, 255),
-                  only_with("type", "text")),
-        parameter("optional", &LineField::optional, "an empty column, null or a missing key is no value"),
+        parameter("length", &LineField::length, "longest text, in bytes", range(1, 255), only_with("type", "text")),
+        parameter("optional", &LineField::optional, "true: an empty column, null or a missing key means no value"),
         parameter("prefix", &LineField::prefix, "what the value begins with, such as \"T=\""),
         parameter("suffix", &LineField::suffix, "what the value ends with, such as \" kg\""),
         parameter("decimal", &LineField::decimal, "the decimal mark: a point or a comma"),
-        parameter("thousands", &LineField::thousands, "a character that may stand between the digits of a number"),
-        parameter("base", &LineField::base, "of whole numbers: 16 for \"1F\" and \"0x1f\"", range(2, 16)),
-        parameter("sign_blanks", &LineField::sign_blanks, "blanks may stand between sign and digits"),
-        parameter(
-            "no_value", &LineField::no_value,
-            "texts, also of numbers, that stand for no value, such as [\"-9999\", \"OL\"]; the field is optional"),
+        parameter("thousands", &LineField::thousands, "character that is allowed between groups of digits of a number"),
+        parameter("base", &LineField::base, "base of whole numbers: 16 for \"1F\" and \"0x1f\"", range(2, 16)),
+        parameter("sign_blanks", &LineField::sign_blanks, "true: blanks are allowed between sign and digits"),
+        parameter("no_value", &LineField::no_value,
+                  "texts, also numbers, that mean no value, such as [\"-9999\", \"OL\"]; the field is optional"),
         parameter("words", &LineField::words, "numbers for words: {\"ON\": 1, \"OFF\": 0}; they are not scaled"));
   }
 };
@@ -167,27 +164,27 @@ constexpr auto describe(type_tag<WireOrder>) {
   return enumeration("byte_order", value("little", WireOrder::little), value("big", WireOrder::big));
 }
 
-/// Chooses lines by what stands in them.
+/// Chooses lines by their content.
 struct LineMatch {
-  unsigned column = 0;                   ///< CSV: in this column, from 1; 0: in the whole line
-  std::string key = {};                  ///< JSON: in the value there; labels: in the first column after this label
-  std::vector<std::string> is = {};      ///< one of these texts is all of it
-  std::string begins = {};               ///< it begins with this
-  std::string contains = {};             ///< this is in it
-  std::string pattern = {};              ///< this regular expression (PCRE2) is found in it
-  std::size_t at = 0;                    ///< binary: from this byte of the frame on, from 0
-  std::vector<std::string> is_hex = {};  ///< binary: there stand these bytes, or these
+  unsigned column = 0;                   ///< CSV: number of the column, from 1; 0: the whole line
+  std::string key = {};                  ///< JSON: path of the value; labels: the first column after this label
+  std::vector<std::string> is = {};      ///< the whole text is one of these
+  std::string begins = {};               ///< the text begins with this
+  std::string contains = {};             ///< the text contains this
+  std::string pattern = {};              ///< this regular expression (PCRE2) matches in the text
+  std::size_t at = 0;                    ///< binary: position of the first byte to compare, from 0
+  std::vector<std::string> is_hex = {};  ///< binary: the bytes there are one of these
 
   friend constexpr auto parameters(type_tag<LineMatch>) {
     return parameter_list(
-        parameter("column", &LineMatch::column, "CSV: the column that is looked at, from 1; 0: the whole line",
+        parameter("column", &LineMatch::column, "CSV: number of the column to compare, from 1; 0: the whole line",
                   range(0, 1000)),
-        parameter("key", &LineMatch::key, "JSON: the value that is looked at; labels: the label"),
-        parameter("is", &LineMatch::is, "it is one of these"),
-        parameter("begins", &LineMatch::begins, "it begins with this"),
-        parameter("contains", &LineMatch::contains, "it contains this"),
-        parameter("pattern", &LineMatch::pattern, "this regular expression is found in it"),
-        parameter("at", &LineMatch::at, "binary: the byte that is looked at, from 0", range(0, 65535)),
+        parameter("key", &LineMatch::key, "JSON: path of the value to compare; labels: the label"),
+        parameter("is", &LineMatch::is, "the text is one of these"),
+        parameter("begins", &LineMatch::begins, "the text begins with this"),
+        parameter("contains", &LineMatch::contains, "the text contains this"),
+        parameter("pattern", &LineMatch::pattern, "this regular expression matches in the text"),
+        parameter("at", &LineMatch::at, "binary: position of the first byte to compare, from 0", range(0, 65535)),
         parameter("is_hex", &LineMatch::is_hex, "binary: the bytes there are one of these, such as [\"01 07\"]"));
   }
 };
@@ -240,80 +237,85 @@ constexpr auto describe(type_tag<ChecksumOf>) {
   return enumeration("of", value("all", ChecksumOf::all), value("row", ChecksumOf::row));
 }
 
-/// How a line or a frame is protected. It stands at the end, or behind the last `after`.
+/// The checksum of a line or a frame. It is at the end, or after the last `after`.
 struct LineChecksum {
   ChecksumType type = ChecksumType::xor8;
   ChecksumForm form = ChecksumForm::hex;     ///< hexadecimal digits; bytes, the high one first or last; a character
-  std::string after = {};                    ///< what stands before it, such as "*"; empty: nothing
-  bool covers_after = false;                 ///< it covers `after`, too
-  std::size_t from = 0;                      ///< bytes at the beginning that it does not cover
-  std::size_t before = 0;                    ///< bytes before it (and `after`) that it does not cover
-  std::size_t behind = 0;                    ///< bytes of the frame that follow it
-  Complement complement = Complement::none;  ///< of a sum: each bit turned over (ones), or its negative (twos)
-  std::string append_hex = {};               ///< bytes that it also covers, behind the others, and that are not sent
-  bool optional = false;                     ///< a line without `after` has none
-  ChecksumOf of = ChecksumOf::all;           ///< labels: each row has its own
+  std::string after = {};                    ///< text before the checksum, such as "*"; empty: none
+  bool covers_after = false;                 ///< it also covers `after`
+  std::size_t from = 0;                      ///< number of bytes at the beginning that it does not cover
+  std::size_t before = 0;                    ///< number of bytes before it (and `after`) that it does not cover
+  std::size_t behind = 0;                    ///< number of bytes of the frame after it
+  Complement complement = Complement::none;  ///< sum8, sum16: all bits inverted (ones), or the negative (twos)
+  std::string append_hex = {};               ///< bytes that it also covers, after the others, and that are not sent
+  bool optional = false;                     ///< a line without `after` has no checksum
+  ChecksumOf of = ChecksumOf::all;           ///< labels: each row has a checksum
 
   friend constexpr auto parameters(type_tag<LineChecksum>) {
     return parameter_list(
-        parameter("type", &LineChecksum::type, "how it is computed", rtdata::required),
+        parameter("type", &LineChecksum::type, "how the checksum is computed", rtdata::required),
         parameter("form", &LineChecksum::form,
-                  "written as digits, as bytes with the high one first (big) or last (little), or as one character"),
-        parameter("after", &LineChecksum::after, "what stands before it, such as \"*\""),
-        parameter("covers_after", &LineChecksum::covers_after, "it covers `after` too"),
-        parameter("from", &LineChecksum::from, "bytes at the beginning that it does not cover", range(0, 65535)),
-        parameter("before", &LineChecksum::before, "bytes before it that it does not cover", range(0, 65535)),
-        parameter("behind", &LineChecksum::behind, "bytes of the frame that follow it", range(0, 64)),
+                  "how the checksum is written: as hexadecimal digits, as bytes with the high one first (big) or last "
+                  "(little), or as one character"),
+        parameter("after", &LineChecksum::after, "text before the checksum, such as \"*\""),
+        parameter("covers_after", &LineChecksum::covers_after, "true: the checksum also covers `after`"),
+        parameter("from", &LineChecksum::from, "number of bytes at the beginning that the checksum does not cover",
+                  range(0, 65535)),
+        parameter("before", &LineChecksum::before, "number of bytes before the checksum that it does not cover",
+                  range(0, 65535)),
+        parameter("behind", &LineChecksum::behind, "number of bytes of the frame after the checksum", range(0, 64)),
         parameter("complement", &LineChecksum::complement,
-                  "of a sum: each bit of it turned over (ones), or its negative (twos)"),
+                  "sum8, sum16: the sum with all bits inverted (ones), or its negative (twos)"),
         parameter("append_hex", &LineChecksum::append_hex,
-                  "bytes that it covers too, and that are not sent, such as MAVLink's extra byte"),
-        parameter("optional", &LineChecksum::optional, "a line without `after` has none"),
-        parameter("of", &LineChecksum::of, "what it protects: all, or each row of labels"));
+                  "bytes that the checksum also covers, although they are not sent, such as MAVLink's extra byte"),
+        parameter("optional", &LineChecksum::optional, "true: a line without `after` has no checksum"),
+        parameter("of", &LineChecksum::of, "what the checksum protects: the whole line, or each row of labels"));
   }
 };
 
-/// What one event is in a stream of bytes that are not lines. A frame has a start or an end, or both, or a start and a
-/// length. What is between frames is thrown away; but for ends of lines it is counted as unreadable.
+/// How frames are found in a stream of bytes that are not lines. A frame has a start or an end, or both, or a start and
+/// a length. Bytes between frames are discarded and, except line ends, counted as unreadable.
 struct LineFrame {
   std::string start = {}, start_hex = {};  ///< text or bytes that it begins with
   std::string end = {}, end_hex = {};      ///< and ends with
-  std::size_t after_end = 0;               ///< bytes behind `end` that belong to it, such as a checksum
-  std::size_t length = 0;                  ///< of all of it, in bytes; 0: not always the same
-  std::size_t length_at = 0;               ///< where it says how long it is; 0: it does not
+  std::size_t after_end = 0;               ///< number of bytes after `end` that belong to it, such as a checksum
+  std::size_t length = 0;                  ///< length of the whole frame in bytes; 0: not always the same
+  std::size_t length_at = 0;               ///< position of the length in the frame; 0: it has none
   std::size_t length_bytes = 1;
-  std::size_t length_adds = 0;         ///< bytes of it that its length does not count
-  Stuffing stuffing = Stuffing::none;  ///< else it needs nothing of the above
+  std::size_t length_adds = 0;         ///< number of its bytes that the length does not count
+  Stuffing stuffing = Stuffing::none;  ///< if set, the settings above are not used
   WireOrder byte_order = WireOrder::big;
 
   friend constexpr auto parameters(type_tag<LineFrame>) {
     return parameter_list(
         parameter("start", &LineFrame::start, "what a frame begins with"),
-        parameter("start_hex", &LineFrame::start_hex, "the same as bytes, such as \"42 4d\""),
-        parameter("end", &LineFrame::end, "what it ends with"),
-        parameter("end_hex", &LineFrame::end_hex, "the same as bytes"),
-        parameter("after_end", &LineFrame::after_end, "bytes behind `end` that belong to it", range(0, 64)),
-        parameter("length", &LineFrame::length, "how long all of it is", rtdata::unit("By"), range(0, 65536)),
-        parameter("length_at", &LineFrame::length_at, "the byte where it says how long it is, from 0; 0: nowhere",
+        parameter("start_hex", &LineFrame::start_hex, "the start as bytes, such as \"42 4d\""),
+        parameter("end", &LineFrame::end, "what a frame ends with"),
+        parameter("end_hex", &LineFrame::end_hex, "the end as bytes"),
+        parameter("after_end", &LineFrame::after_end, "number of bytes after `end` that belong to the frame",
                   range(0, 64)),
-        parameter("length_bytes", &LineFrame::length_bytes, "bytes of that number", range(1, 2)),
-        parameter("length_adds", &LineFrame::length_adds, "bytes of the frame that it does not count", range(0, 64)),
+        parameter("length", &LineFrame::length, "length of the whole frame", rtdata::unit("By"), range(0, 65536)),
+        parameter("length_at", &LineFrame::length_at,
+                  "position of the length in the frame, from 0; 0: a frame does not contain its length", range(0, 64)),
+        parameter("length_bytes", &LineFrame::length_bytes, "number of bytes of the length", range(1, 2)),
+        parameter("length_adds", &LineFrame::length_adds, "number of bytes of the frame that the length does not count",
+                  range(0, 64)),
         parameter("stuffing", &LineFrame::stuffing,
-                  "instead of all these: frames of SLIP (c0), HDLC (7e) or COBS (00), whose bytes are put back"),
-        parameter("byte_order", &LineFrame::byte_order, "of that number, and of binary fields"));
+                  "instead of the settings above: SLIP (c0), HDLC (7e) or COBS (00) frames, which are unescaped"),
+        parameter("byte_order", &LineFrame::byte_order, "byte order of the length and of binary fields"));
   }
 };
 
 /// The clock of a device: a field counts in steps of `step` and wraps around as its type does.
 struct DeviceTime {
   std::string field = {};                        ///< an integer, or a double, which never wraps
-  Duration step = std::chrono::milliseconds{1};  ///< what one more in the field is
+  Duration step = std::chrono::milliseconds{1};  ///< time of one count
 
   friend constexpr auto parameters(type_tag<DeviceTime>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("field", &DeviceTime::field, "the field that counts", TextIs::field, rtdata::required),
-        parameter("step", &DeviceTime::step, "what one more in it is, such as \"1 us\"",
+        parameter("field", &DeviceTime::field, "the field with the device's clock", TextIs::field, rtdata::required),
+        parameter("step", &DeviceTime::step, "time of one count, such as \"1 us\"",
                   range(Duration{1ns}, Duration{1h})));
   }
 };
@@ -323,55 +325,57 @@ struct LineConfig {
   std::vector<LineField> fields = {};
   char separator = ',';                 ///< between the columns of CSV; a blank stands for any number of blanks
   std::string pattern = {};             ///< of `format` pattern: a regular expression with a named group for each field
-  std::string comment = "#";            ///< lines that begin with it are skipped; empty: none
+  std::string comment = "#";            ///< lines that begin with this text are skipped; empty: none
   char line_end = '\n';                 ///< what ends a line; without a newline some devices send a carriage return
   std::optional<LineFrame> frame = {};  ///< events are frames of bytes, not lines
-  std::optional<LineMatch> only = {};   ///< the lines that are meant; others count as filtered
-  std::optional<LineMatch> unreadable_if = {};  ///< lines by which the device says that it has no value
+  std::optional<LineMatch> only = {};   ///< which lines become events; others count as filtered
+  std::optional<LineMatch> unreadable_if = {};  ///< lines that mean that the device has no value
   std::optional<LineChecksum> checksum = {};
   unsigned skip_lines = 0;  ///< lines skipped after each opening, such as a heading
   FirstLine first_line = FirstLine::discard;
   std::size_t max_line = 4096;                            ///< bytes; a longer line is unreadable
   std::string sequence_field = {};                        ///< the field that numbers the lines; empty: none
-  std::optional<DeviceTime> device_time = {};             ///< events have the device's times; none: of the reads
+  std::optional<DeviceTime> device_time = {};             ///< events have the device's times; unset: those of the reads
   Duration silence{0};                                    ///< without a line for longer, it has a gap; 0: no limit
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost device is opened again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
+  Duration retry_first = std::chrono::milliseconds{100};  ///< first delay before a lost device is opened again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the delay doubles up to this
   bool start = true;                                      ///< start when made
 
   friend constexpr auto parameters(type_tag<LineConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("format", &LineConfig::format, "how a line is written"),
-        parameter("fields", &LineConfig::fields, "what is in a line; not with `format` nmea",
+        parameter("format", &LineConfig::format, "format of a line"),
+        parameter("fields", &LineConfig::fields, "values in a line; not with `format` nmea",
                   only_with("format", "csv", "json", "labels", "binary", "pattern")),
         parameter("pattern", &LineConfig::pattern, "a regular expression with a named group for each field",
                   only_with("format", "pattern")),
-        parameter("separator", &LineConfig::separator, "between the columns of CSV, or label and value",
+        parameter("separator", &LineConfig::separator,
+                  "character between the columns of CSV, or between label and value",
                   only_with("format", "csv", "labels")),
-        parameter("comment", &LineConfig::comment, "lines that begin with it are skipped",
+        parameter("comment", &LineConfig::comment, "lines that begin with this text are skipped",
                   only_with("format", "csv", "json", "labels", "binary", "pattern")),
         parameter("line_end", &LineConfig::line_end, "the character that ends a line"),
-        parameter("frame", &LineConfig::frame, "what an event is, if it is not a line"),
-        parameter("only", &LineConfig::only, "the lines that are meant; others are left out, and count as filtered"),
+        parameter("frame", &LineConfig::frame, "how a frame begins and ends, if the device does not send lines"),
+        parameter("only", &LineConfig::only, "which lines become events; others are skipped and count as filtered"),
         parameter("unreadable_if", &LineConfig::unreadable_if, "lines by which the device says that it has no value"),
-        parameter("checksum", &LineConfig::checksum, "how a line is protected; a wrong one makes it unreadable"),
-        parameter("skip_lines", &LineConfig::skip_lines, "lines skipped after each opening, such as a heading",
-                  range(0, 1000000)),
+        parameter("checksum", &LineConfig::checksum, "checksum of a line; a line with a wrong checksum is unreadable"),
+        parameter("skip_lines", &LineConfig::skip_lines,
+                  "number of lines that are skipped after each opening, such as a heading", range(0, 1000000)),
         parameter("first_line", &LineConfig::first_line,
-                  "what comes first after opening may be half a line: discard or keep it"),
+                  "the first line after opening may be incomplete: discard or keep it"),
         parameter("max_line", &LineConfig::max_line, "a longer line is unreadable", rtdata::unit("By"),
                   range(16, 65536)),
-        parameter("sequence_field", &LineConfig::sequence_field, "the field by which the device numbers its lines",
+        parameter("sequence_field", &LineConfig::sequence_field, "the field in which the device numbers its lines",
                   TextIs::field, only_with("format", "csv", "json", "labels", "binary", "pattern")),
         parameter("device_time", &LineConfig::device_time,
-                  "the field that is the device's clock, by which events have times",
+                  "the field with the device's clock, from which the times of events follow",
                   only_with("format", "csv", "json", "labels", "binary", "pattern")),
-        parameter("silence", &LineConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
+        parameter("silence", &LineConfig::silence,
+                  "after this time without data, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
-        parameter("retry_first", &LineConfig::retry_first, "wait before a lost device is opened again",
+        parameter("retry_first", &LineConfig::retry_first, "first delay before a lost device is opened again",
                   range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &LineConfig::retry_longest, "the wait doubles up to this",
+        parameter("retry_longest", &LineConfig::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
         parameter("start", &LineConfig::start, "start it with the system"));
   }
@@ -383,8 +387,7 @@ Result<std::shared_ptr<const Description>> line_description(const std::vector<Li
 /// The description of the events: from the fields, or of a fix. Errors: as `line_description`.
 Result<std::shared_ptr<const Description>> description_of_lines(const LineConfig& config);
 
-/// Checks that `fields` and `sequence_field` go together, and that `separator` and `comment`
-/// are none of what columns hold.
+/// Checks that `fields` and `sequence_field` fit together, and that `separator` and `comment` cannot occur in columns.
 void check_config(const LineConfig& config, const ConfigItem& item, Problems& problems);
 /// How long the longest read takes: 1 KiB of short lines.
 ReadTime read_time(const LineConfig& config);

@@ -6,7 +6,7 @@
 ///                     {.name = "energy", .address = 10, .type = Kind::f32, .unit = "kW.h"}}});
 ///
 /// - Each tick reads all fields: consecutive ones in one request, others in separate requests; with `gap`, a request
-///   may include that many unused registers between two fields. No request has more than `most_registers`, and none
+///   may include this many unused registers between two fields. No request has more than `most_registers`, and none
 ///   ends within a field. If a request fails, the reading fails.
 /// - Numbers are assembled in `word_order`, by default high word and high byte first ("abcd"), of the sensor or of the
 ///   field. An order with the low byte of a register first also applies to numbers of one register and to texts.
@@ -56,18 +56,19 @@ struct ModbusField {
   double scale = 1;
   double offset = 0;                             ///< added after scaling
   std::string unit = {};                         ///< UCUM
-  std::vector<double> no_value = {};             ///< the raw numbers for a missing value
-  std::optional<WordOrder> word_order = {};      ///< unset: the sensor's
-  std::optional<unsigned> registers = {};        ///< of a text: how many it has
-  std::optional<unsigned> bit = {};              ///< the only bit to publish, 0 is the lowest
-  std::optional<std::uint64_t> mask = {};        ///< the bits to publish; unset: all
+  std::vector<double> no_value = {};             ///< raw numbers that mean no value
+  std::optional<WordOrder> word_order = {};      ///< unset: `word_order` of the sensor
+  std::optional<unsigned> registers = {};        ///< number of registers of a text
+  std::optional<unsigned> bit = {};              ///< publishes only this bit, 0 is the lowest
+  std::optional<std::uint64_t> mask = {};        ///< publishes these bits; unset: all
   std::optional<std::uint16_t> scale_from = {};  ///< address of the register with its power of ten
 
   friend constexpr auto parameters(type_tag<ModbusField>) {
     return parameter_list(
         parameter("name", &ModbusField::name, "name of the field", required, TextIs::field),
-        parameter("table", &ModbusField::table, "its table: registers (holding, input) or bits (coil, discrete)"),
-        parameter("address", &ModbusField::address, "of its first register or bit, from 0", required),
+        parameter("table", &ModbusField::table,
+                  "table of the value: registers (holding, input) or bits (coil, discrete)"),
+        parameter("address", &ModbusField::address, "address of the first register or bit, from 0", required),
         parameter("type", &ModbusField::type, "type of the value in the registers",
                   choices(value("int16", Kind::i16), value("int32", Kind::i32), value("int64", Kind::i64),
                           value("uint16", Kind::u16), value("uint32", Kind::u32), value("uint64", Kind::u64),
@@ -76,15 +77,15 @@ struct ModbusField {
         parameter("scale", &ModbusField::scale, "factor", not_zero, only_with("table", "holding", "input")),
         parameter("offset", &ModbusField::offset, "added after scaling", only_with("table", "holding", "input")),
         parameter("unit", &ModbusField::unit, "unit of the value (UCUM)", TextIs::unit),
-        parameter("no_value", &ModbusField::no_value, "the raw numbers that mean no value, such as [-32768]",
+        parameter("no_value", &ModbusField::no_value, "raw numbers that mean no value, such as [-32768]",
                   only_with("table", "holding", "input")),
-        parameter("word_order", &ModbusField::word_order, "default: the sensor's",
+        parameter("word_order", &ModbusField::word_order, "order of its bytes; default: `word_order` of the sensor",
                   only_with("table", "holding", "input")),
-        parameter("registers", &ModbusField::registers, "of a text: how many it has", range(1, 125),
+        parameter("registers", &ModbusField::registers, "number of registers of a text", range(1, 125),
                   only_with("type", "text")),
-        parameter("bit", &ModbusField::bit, "the only bit of the number to publish, as a bool; 0 is the lowest",
+        parameter("bit", &ModbusField::bit, "publishes only this bit of the number, as a bool; 0 is the lowest",
                   range(0, 63), only_with("table", "holding", "input")),
-        parameter("mask", &ModbusField::mask, "the bits of the number to publish, moved down to bit 0; default: all",
+        parameter("mask", &ModbusField::mask, "publishes these bits of the number, moved down to bit 0; default: all",
                   at_least(1), only_with("table", "holding", "input")),
         parameter("scale_from", &ModbusField::scale_from,
                   "address of the register with the power of ten to multiply by (SunSpec's scale factor)",
@@ -98,9 +99,8 @@ class Modbus {
   static constexpr std::string_view aliases = "rs485 plc";
   static constexpr std::string_view description = "registers of a device that speaks Modbus, over a serial line or TCP";
   static constexpr std::string_view notes =
-      "The bus is a `modbus` one. Addresses count from 0: a document's register 40001 is `\"address\": 0` of the "
-      "holding "
-      "registers, 30001 `\"address\": 0` of the input registers. More: [modbus.md](modbus.md).";
+      "The bus is a `modbus` one. Addresses count from 0: register 40001 of a manual is `\"address\": 0` of the "
+      "holding registers, 30001 `\"address\": 0` of the input registers. More: [modbus.md](modbus.md).";
   struct Config {
     std::vector<ModbusField> fields = {};
     WordOrder word_order = WordOrder::abcd;  ///< badc and dcba: also for numbers of one register
@@ -108,13 +108,15 @@ class Modbus {
     unsigned most_registers = ModbusDevice::most_registers;  ///< of one request
     friend constexpr auto parameters(type_tag<Config>) {
       return parameter_list(
-          parameter("fields", &Config::fields, "what is read", required),
-          parameter(
-              "word_order", &Config::word_order,
-              "the bytes of numbers, the highest of four called a; badc and dcba swap those of one register, too"),
-          parameter("gap", &Config::gap, "addresses that may be read along though no field has them", range(0, 120)),
+          parameter("fields", &Config::fields, "values to read", required),
+          parameter("word_order", &Config::word_order,
+                    "order of the bytes of numbers: a is the highest of four; badc and dcba also swap the bytes within "
+                    "a register"),
+          parameter("gap", &Config::gap,
+                    "number of addresses between two fields that may be read although no field has them",
+                    range(0, 120)),
           parameter("most_registers", &Config::most_registers,
-                    "registers of a request at most; requests are divided by it, fields are not", range(1, 125)));
+                    "most registers of a request; a field is never divided between two requests", range(1, 125)));
     }
     /// Checks that the fields can be read and described.
     friend void check_config(const Config& config, const ConfigItem& item, Problems& problems);

@@ -9,8 +9,8 @@
 /// Each message becomes one event with the configured fields; its time is the time of the read.
 ///
 /// - A message is an object of JSON, keys in any order, others ignored, "imu.ax" as a `key` for levels; or a line of
-///   CSV, which a number alone is, too. The key "$topic" stands for the topic that the message came on, "$retained" for
-///   whether the broker had kept it from before.
+///   CSV; a number alone is one, too. The key "$topic" is the topic of the message, "$retained" whether it is a
+///   retained message.
 /// - An unusable message (not JSON, a missing field, not a number, out of its type's range, longer than `max_message`)
 ///   is counted as unreadable and reported; other messages are not affected.
 /// - Retained messages have an unknown time: unless `retained` is "take" they give no event; if the broker sends them
@@ -53,51 +53,54 @@ struct MqttSensorConfig {
   std::vector<LineField> fields = {};
   char separator = ',';                         ///< between the columns of CSV
   std::string pattern = {};                     ///< of `format` pattern (lines.hpp)
-  std::optional<LineMatch> only = {};           ///< the messages that are meant; others count as filtered
-  std::optional<LineMatch> unreadable_if = {};  ///< messages by which the device says that it has no value
+  std::optional<LineMatch> only = {};           ///< which messages become events; others count as filtered
+  std::optional<LineMatch> unreadable_if = {};  ///< messages that mean that the device has no value
   std::size_t max_message = 65536;              ///< bytes; a longer one is unreadable
   MqttRetained retained = MqttRetained::skip;
   Duration session{0};         ///< how long the broker keeps messages for this sensor; 0: not at all
   std::string stored_by = {};  ///< name of a sink of this loop: acknowledge after it has stored the event
   Duration silence{0};         ///< without a message for longer, it has a gap; 0: no limit
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before the program connects to a lost broker again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
-  bool start = true;                                      ///< start when made
+  Duration retry_first = std::chrono::milliseconds{
+      100};  ///< first delay before the program connects to a lost broker again
+  Duration retry_longest = std::chrono::seconds{10};  ///< the delay doubles up to this
+  bool start = true;                                  ///< start when made
 
   friend constexpr auto parameters(type_tag<MqttSensorConfig>) {
     using namespace std::chrono_literals;
     return parameter_list(
         include_member(&MqttSensorConfig::broker),
         parameter("topics", &MqttSensorConfig::topics,
-                  "of the messages: + for one level, # for all below; $share/GROUP/... shares them with others",
+                  "topics of the messages: + for one level, # for all below; $share/GROUP/... shares them with others",
                   rtdata::required),
         parameter("qos", &MqttSensorConfig::qos, "0: at most once, 1: at least once, 2: once for each connection",
                   range(0, 2)),
-        parameter("format", &MqttSensorConfig::format, "how a message is written; a number alone is csv",
+        parameter("format", &MqttSensorConfig::format, "format of a message; a number alone is csv",
                   choices(value("json", LineFormat::json), value("csv", LineFormat::csv),
                           value("labels", LineFormat::labels), value("pattern", LineFormat::pattern))),
-        parameter("fields", &MqttSensorConfig::fields, "what is in a message", rtdata::required),
-        parameter("separator", &MqttSensorConfig::separator, "between the columns of CSV, or label and value",
+        parameter("fields", &MqttSensorConfig::fields, "values in a message", rtdata::required),
+        parameter("separator", &MqttSensorConfig::separator,
+                  "character between the columns of CSV, or between label and value",
                   only_with("format", "csv", "labels")),
         parameter("pattern", &MqttSensorConfig::pattern, "a regular expression with a named group for each field",
                   only_with("format", "pattern")),
-        parameter("only", &MqttSensorConfig::only, "the messages that are meant; others count as filtered"),
+        parameter("only", &MqttSensorConfig::only, "which messages become events; others count as filtered"),
         parameter("unreadable_if", &MqttSensorConfig::unreadable_if,
                   "messages by which the device says that it has no value"),
         parameter("max_message", &MqttSensorConfig::max_message, "a longer message is unreadable", rtdata::unit("By"),
                   range(16, 1048576)),
         parameter("retained", &MqttSensorConfig::retained,
-                  "messages that the broker has kept from before: skip them, or take them as if they came now"),
+                  "messages that the broker has kept from earlier: skip them, or treat them as if they came now"),
         parameter("session", &MqttSensorConfig::session,
                   "how long the broker keeps messages while this program is away; needs `client_id`; 0: not at all",
                   range(Duration{0}, Duration{87600h})),
         parameter("stored_by", &MqttSensorConfig::stored_by,
-                  "a sink: the broker hears that a message has come once this has stored it", names_part("sink")),
-        parameter("silence", &MqttSensorConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
+                  "a sink: a message is confirmed to the broker when this sink has stored it", names_part("sink")),
+        parameter("silence", &MqttSensorConfig::silence,
+                  "after this time without data, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
         parameter("retry_first", &MqttSensorConfig::retry_first,
-                  "wait before the program connects to a lost broker again", range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &MqttSensorConfig::retry_longest, "the wait doubles up to this",
+                  "first delay before the program connects to a lost broker again", range(Duration{1ms}, Duration{1h})),
+        parameter("retry_longest", &MqttSensorConfig::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
         parameter("start", &MqttSensorConfig::start, "start it with the system"));
   }

@@ -34,7 +34,7 @@ namespace rtdata {
 struct PpsPulse {
   std::uint32_t count = 0;              ///< the kernel's number of it
   std::optional<double> interval = {};  ///< since the previous pulse, if that was read
-  double clock_error = 0;               ///< the machine's clock minus the nearest whole second
+  double clock_error = 0;               ///< the computer's clock minus the nearest full second
   friend constexpr auto describe(type_tag<PpsPulse>) {
     return record("pps", field("count", &PpsPulse::count), field("interval", &PpsPulse::interval, "s"),
                   field("clock_error", &PpsPulse::clock_error, "s"));
@@ -53,9 +53,9 @@ struct PpsConfig {
   Duration accuracy = std::chrono::microseconds{50};      ///< of the kernel's time; 0: not a time source
   Duration silence = std::chrono::seconds{3};             ///< silent for longer, it has a gap; 0: it may be silent
   std::string root = {};                                  ///< prefix of /sys, such as a container's mount of the host
-  Duration retry_first = std::chrono::milliseconds{100};  ///< wait before a lost source is opened again
-  Duration retry_longest = std::chrono::seconds{10};      ///< the wait doubles up to this
-  bool required = false;                                  ///< a source that is not there at the start throws
+  Duration retry_first = std::chrono::milliseconds{100};  ///< first delay before a lost source is opened again
+  Duration retry_longest = std::chrono::seconds{10};      ///< the delay doubles up to this
+  bool required = false;                                  ///< a source that is missing at the start throws
   bool start = true;                                      ///< start when made
 
   friend constexpr auto parameters(type_tag<PpsConfig>) {
@@ -63,18 +63,20 @@ struct PpsConfig {
     return parameter_list(
         parameter("device", &PpsConfig::device, "the source of pulses, such as pps0", TextIs::recorded),
         parameter("edge", &PpsConfig::edge, "which edge of a pulse counts"),
-        parameter("accuracy", &PpsConfig::accuracy,
-                  "how far a pulse, as the kernel sees it, may be from the second; 0: it is not a source of the time",
-                  range(Duration{0}, Duration{100ms})),
-        parameter("silence", &PpsConfig::silence, "silent for longer, it is degraded and has a gap; 0: never",
+        parameter(
+            "accuracy", &PpsConfig::accuracy,
+            "longest time from the full second to a pulse, as the kernel sees it; 0: the pulses are not a time source",
+            range(Duration{0}, Duration{100ms})),
+        parameter("silence", &PpsConfig::silence,
+                  "after this time without data, the sensor is degraded and has a gap; 0: never",
                   range(Duration{0}, Duration{24h})),
         parameter("root", &PpsConfig::root, "prefix of /sys, such as the host's root folder in a container",
                   TextIs::device),
-        parameter("retry_first", &PpsConfig::retry_first, "wait before a lost source is opened again",
+        parameter("retry_first", &PpsConfig::retry_first, "first delay before a lost source is opened again",
                   range(Duration{1ms}, Duration{1h})),
-        parameter("retry_longest", &PpsConfig::retry_longest, "the wait doubles up to this",
+        parameter("retry_longest", &PpsConfig::retry_longest, "the delay doubles up to this",
                   range(Duration{1ms}, Duration{24h})),
-        parameter("required", &PpsConfig::required, "a source that is not there at the start ends the program"),
+        parameter("required", &PpsConfig::required, "true: the program ends if the source does not exist at the start"),
         parameter("start", &PpsConfig::start, "start it with the system"));
   }
 };
@@ -86,7 +88,8 @@ ReadTime read_time(const PpsConfig& config);
 class PpsSensor : public AnySensor {
  public:
   PpsSensor() noexcept = default;
-  /// SetupError: as `Feed`; bad-argument for a device that is no name; the error of a required one that is not there.
+  /// SetupError: as `Feed`; bad-argument for a device that is not a name; the error of a required source that is
+  /// missing.
   PpsSensor(Loop& loop, FeedConfig feed, PpsConfig config);
 
  private:

@@ -89,19 +89,19 @@ enum class OnOverrun : std::uint8_t {
 
 struct SensorConfig {
   std::string name;        ///< unique in the runtime; the origin of its events
-  std::string topic = {};  ///< empty: as the name
+  std::string topic = {};  ///< empty: the name
   Rate rate = {};          ///< ticks a second, up to 1 MHz
   Duration phase{0};       ///< added to the start of its schedule; a negative one: within the first period
   std::optional<Duration> late_after = {};  ///< unset: the larger of 1 ms and 10 % of the period
   std::optional<Duration> read_time = {};   ///< longest time on the loop or lane; unset: as the device declares
   unsigned faulted_after = 3;               ///< failures in a row that make it faulted
-  Duration retry_first = std::chrono::milliseconds{100};  ///< delay before a faulted device is opened again
+  Duration retry_first = std::chrono::milliseconds{100};  ///< first delay before a faulted device is opened again
   Duration retry_longest = std::chrono::seconds{30};      ///< the delay doubles up to this
   OnOverrun on_overrun = OnOverrun::warn;                 ///< when its read holds the loop longer than its limit
   bool required = false;    ///< a device that cannot be opened at the start throws instead of being retried
   bool start = true;        ///< start when made
   Processing process = {};  ///< calibration and filters of its fields
-  Duration warm_up{0};      ///< samples so soon after its device was opened are filtered
+  Duration warm_up{0};      ///< samples in this time after opening are discarded (filtered)
 };
 
 /// The configuration keys that all sensors have.
@@ -113,30 +113,32 @@ constexpr auto parameters(type_tag<SensorConfig>) {
   using namespace std::chrono_literals;
   return parameter_list(
       parameter("name", &SensorConfig::name, "the origin of its events, unique in the file", required, TextIs::name),
-      parameter("topic", &SensorConfig::topic, "where it publishes; empty: as its name", TextIs::topic),
+      parameter("topic", &SensorConfig::topic, "topic of its events; empty: its name", TextIs::topic),
       parameter("rate", &SensorConfig::rate, "how often it is read", required, at_most(Rate::from_period(1us))),
-      parameter("phase", &SensorConfig::phase, "added to the start of its schedule", range(Duration{0}, Duration{1h})),
+      parameter("phase", &SensorConfig::phase, "time that is added to the start of its schedule",
+                range(Duration{0}, Duration{1h})),
       parameter(
           "late_after", &SensorConfig::late_after,
-          "readings that begin later than this are counted as late; default the larger of 1 ms and 10 % of the period",
+          "readings that begin later than this are counted as late; default: the larger of 1 ms and 10 % of the period",
           at_least(Duration{0})),
       parameter("read_time", &SensorConfig::read_time,
-                "how long a reading holds the loop at most, or its lane when read on one; default: as the driver says",
+                "longest time that a reading holds the loop or its lane; default: as the driver says",
                 range(Duration{1}, Duration{1h})),
-      parameter("faulted_after", &SensorConfig::faulted_after, "failures in a row that make it faulted",
-                range(1, 1000000)),
-      parameter("retry_first", &SensorConfig::retry_first, "wait before a faulted device is opened again",
+      parameter("faulted_after", &SensorConfig::faulted_after,
+                "number of failures in a row after which the sensor is faulted", range(1, 1000000)),
+      parameter("retry_first", &SensorConfig::retry_first, "first delay before a faulted device is opened again",
                 range(Duration{1ms}, Duration{1h})),
-      parameter("retry_longest", &SensorConfig::retry_longest, "the wait doubles up to this",
+      parameter("retry_longest", &SensorConfig::retry_longest, "the delay doubles up to this",
                 range(Duration{1ms}, Duration{24h})),
-      parameter("on_overrun", &SensorConfig::on_overrun, "when its read holds the loop longer than the limit",
+      parameter("on_overrun", &SensorConfig::on_overrun, "what to do when a read holds the loop longer than the limit",
                 choices(value("warn", OnOverrun::warn), value("slow down", OnOverrun::slow_down),
                         value("stop", OnOverrun::stop))),
       parameter("required", &SensorConfig::required,
-                "true: if the device cannot be opened at the start, the program ends"),
+                "true: the program ends if the device cannot be opened at the start"),
       parameter("start", &SensorConfig::start, "start it with the system"),
-      parameter("process", &SensorConfig::process, "calibration and filters, by field"),
-      parameter("warm_up", &SensorConfig::warm_up, "samples so soon after its device was opened are filtered",
+      parameter("process", &SensorConfig::process, "calibration and filters of each field"),
+      parameter("warm_up", &SensorConfig::warm_up,
+                "samples in this time after opening the device are discarded (counted as filtered)",
                 range(Duration{0}, Duration{24h})));
 }
 

@@ -13,7 +13,7 @@
 ///   `required`. The time without the device is a gap (disconnected).
 /// - `at_open` and `at_open_hex` are sent after each opening, for devices that send only after a request.
 /// - The serial line is locked for this program. Sensors of one loop with the same `device` and settings share it: each
-///   takes the lines that its `only` means.
+///   takes the lines that its `only` selects.
 ///
 /// Its `format` nmea is a satellite receiver (GPS or others) without gpsd:
 ///
@@ -35,7 +35,7 @@ struct SerialConfig {
   std::string device = {};  ///< "/dev/serial/by-id/...", "/dev/ttyUSB0"
   SerialSettings serial = {};
   std::vector<std::string> at_open = {};      ///< sent after each opening, in order, with their ends
-  std::vector<std::string> at_open_hex = {};  ///< behind them: bytes
+  std::vector<std::string> at_open_hex = {};  ///< bytes, sent after them
   LineConfig lines = {};
   bool required = false;  ///< a device that cannot be opened at the start throws
 
@@ -43,11 +43,12 @@ struct SerialConfig {
     return parameter_list(
         parameter("device", &SerialConfig::device, "the serial device", rtdata::required, TextIs::device),
         include_member(&SerialConfig::serial),
-        parameter("at_open", &SerialConfig::at_open, "what is sent after each opening, such as what starts the device"),
-        parameter("at_open_hex", &SerialConfig::at_open_hex, "the same as bytes, sent behind these"),
+        parameter("at_open", &SerialConfig::at_open,
+                  "what is sent after each opening, such as a command that starts the device"),
+        parameter("at_open_hex", &SerialConfig::at_open_hex, "bytes that are sent after `at_open`"),
         include_member(&SerialConfig::lines),
         parameter("required", &SerialConfig::required,
-                  "true: if the device cannot be opened at the start, the program ends"));
+                  "true: the program ends if the device cannot be opened at the start"));
   }
 };
 

@@ -18,7 +18,7 @@
 /// the age `before`, that event is removed anyway; the sensor is then degraded and reports how far back the ring
 /// reaches. Many events are published in parts of 500, one part each millisecond.
 ///
-/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Takes no memory once it is made.
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Allocates no memory after construction.
 #pragma once
 
 #include <cstdint>
@@ -48,11 +48,13 @@ struct TriggerConfig {
         parameter("with", &TriggerConfig::with, "other topics; `when` uses their latest values", names_part("topic")),
         parameter("when", &TriggerConfig::when, "events are passed on while this expression is true", required,
                   TextIs::recorded),
-        parameter("before", &TriggerConfig::before, "events that came within this time before that are passed on, too",
+        parameter("before", &TriggerConfig::before, "events of this time before `when` became true are passed on, too",
                   range(Duration{0}, Duration{24h})),
-        parameter("events", &TriggerConfig::events,
-                  "room for that many events, allocated at the start; a full ring is reported", range(1, 100'000'000)),
-        parameter("age", &TriggerConfig::age, "older values of the topics `with` are not used: `when` does not hold",
+        parameter(
+            "events", &TriggerConfig::events,
+            "number of events in the ring for `before`; its memory is allocated at the start; a full ring is reported",
+            range(1, 100'000'000)),
+        parameter("age", &TriggerConfig::age, "older values of the topics `with` are not used; `when` is then false",
                   range(Duration{1us}, Duration{24h * 365})));
   }
 };
@@ -69,7 +71,7 @@ class TriggerSensor : public AnySensor {
  public:
   TriggerSensor() noexcept = default;
   /// SetupError: as `Feed`; ExpressionError; not-found (there is no topic `on` yet); bad-description (its payload has
-  /// none); bad-argument for a configuration that cannot work; io-failed (no memory for the ring).
+  /// no description); bad-argument for a configuration that cannot work; io-failed (no memory for the ring).
   TriggerSensor(Loop& loop, FeedConfig feed, TriggerConfig config);
 
  private:

@@ -7,14 +7,15 @@
 /// A datagram holds one line or several (or frames of bytes, with `frame`); each becomes one event; lines.hpp says how
 /// they are read. The end of a datagram ends its last line.
 ///
-/// - It hears on the loopback address unless `address` says otherwise; "0.0.0.0" and "::" stand for all addresses of
-///   the machine, and a group's address ("239.1.2.3") for what is sent to that group.
-/// - With `from`, datagrams of other senders are left out: they count as filtered.
-/// - UDP may lose datagrams on the way, which only a `sequence_field` shows. What the kernel drops because its buffer
-///   is full is told, and counts as unreadable, by datagrams; with a `sequence_field` its numbers count instead.
+/// - It receives on the loopback address by default; the `address` "0.0.0.0" or "::" means all addresses of this
+///   computer, the address of a group ("239.1.2.3") what is sent to that group.
+/// - With `from`, datagrams of other senders count as filtered.
+/// - UDP may lose datagrams on the way, which only a `sequence_field` shows. Datagrams that the kernel drops because
+///   its buffer is full are reported, and count as unreadable; with a `sequence_field` the missing numbers count
+///   instead.
 /// - A datagram longer than `longest_datagram` is unreadable, once.
-/// - If the port is taken or the address is not there, the sensor is faulted and tries again after `retry_first`,
-///   doubling to `retry_longest`. UDP knows no connection: whether the sender lives, only `silence` says.
+/// - If the port is in use or the address does not exist, the sensor is faulted and tries again after `retry_first`,
+///   doubling to `retry_longest`. UDP has no connection: only `silence` shows that the sender has stopped.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once
@@ -29,20 +30,21 @@ namespace rtdata {
 struct UdpLinesConfig {
   std::uint16_t port = 0;
   std::string address = "127.0.0.1";  ///< of this machine, or of a group
-  std::string from = {};              ///< an address: only this sender is meant; empty: all
+  std::string from = {};              ///< address of the only accepted sender; empty: all
   LineConfig lines = {.first_line = FirstLine::keep, .retry_first = std::chrono::seconds{1}};
 
-  /// True if `address` is that of a multicast group, which several may hear.
+  /// True if `address` is a multicast group, which several sensors may use.
   bool is_group() const;
 
   static constexpr std::size_t longest_datagram = 2048;  ///< bytes
 
   friend constexpr auto parameters(type_tag<UdpLinesConfig>) {
     return parameter_list(
-        parameter("port", &UdpLinesConfig::port, "the UDP port of this machine", range(1, 65535), rtdata::required),
+        parameter("port", &UdpLinesConfig::port, "UDP port of this computer", range(1, 65535), rtdata::required),
         parameter("address", &UdpLinesConfig::address,
-                  "of this machine, \"0.0.0.0\" for all of them, or of a multicast group"),
-        parameter("from", &UdpLinesConfig::from, "the address of the only sender that is meant; others are left out"),
+                  "address of this computer, \"0.0.0.0\" for all its addresses, or address of a multicast group"),
+        parameter("from", &UdpLinesConfig::from,
+                  "address of the only sender; datagrams of other senders count as filtered"),
         include_member(&UdpLinesConfig::lines));
   }
 };

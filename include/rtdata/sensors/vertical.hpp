@@ -1,5 +1,5 @@
-/// VerticalSensor: height, vertical speed and acceleration of something that flies upwards, of a barometer and an
-/// accelerometer that other sensors read, as a topic of its own.
+/// VerticalSensor: height, vertical speed and acceleration of a flying object, from a barometer and an accelerometer
+/// that other sensors read, as a topic of its own.
 ///
 ///     rtdata::VerticalSensor motion(loop, {.name = "motion"},
 ///                                   {.barometer = "rocket", .height = "altitude",
@@ -7,10 +7,10 @@
 ///
 /// The estimate: process/vertical_kalman.hpp. Each event of these topics gives one event with the same time; one topic
 /// may have both fields. A height may be a pressure; units are those of the topics' fields: m, Pa, hPa, kPa, mbar or
-/// bar, of which none is m; [g] or m/s2, of which none is [g]. Another unit or a missing field is reported, and the
-/// event is unreadable. Without a value (absent or NaN) the estimate continues without it. It restarts after `start`.
+/// bar (no unit: m); [g] or m/s2 (no unit: [g]). Another unit or a missing field is reported, and the event is
+/// unreadable. Without a value (absent or NaN) the estimate continues without it. It restarts after `start`.
 ///
-/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Takes no memory once it is made.
+/// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Allocates no memory after construction.
 #pragma once
 
 #include <cstdint>
@@ -27,32 +27,34 @@
 namespace rtdata {
 
 struct VerticalConfig {
-  std::string barometer = {};      ///< a topic; empty: there is none
+  std::string barometer = {};      ///< a topic; empty: none
   std::string height = {};         ///< path of its field; empty: `value`, or the only number
-  std::string accelerometer = {};  ///< a topic; empty: there is none
+  std::string accelerometer = {};  ///< a topic; empty: none
   std::string acceleration = {};   ///< path of its field; empty: as above
   Duration burn = std::chrono::seconds{7};
   double noise = 0.5;  ///< m
-  double range = 0;    ///< g; 0: found by itself
+  double range = 0;    ///< g; 0: detected from repeated values
 
   friend constexpr auto parameters(type_tag<VerticalConfig>) {
     using namespace std::chrono_literals;
     using C = VerticalConfig;
     return parameter_list(
-        parameter("barometer", &C::barometer, "its topic; empty: there is none", names_part("topic")),
+        parameter("barometer", &C::barometer, "topic of the barometer; empty: no barometer", names_part("topic")),
         parameter("height", &C::height,
-                  "path of its field, of heights or pressures; default: `value`, or the only number", TextIs::recorded),
-        parameter("accelerometer", &C::accelerometer, "its topic; empty: there is none", names_part("topic")),
-        parameter("acceleration", &C::acceleration,
-                  "path of its field along the axis, 1 g at rest; default: `value`, or the only number",
+                  "path of the field with the height or pressure; default: `value`, or the only number",
                   TextIs::recorded),
+        parameter("accelerometer", &C::accelerometer, "topic of the accelerometer; empty: no accelerometer",
+                  names_part("topic")),
         parameter(
-            "burn", &C::burn,
-            "after the liftoff, while no accelerometer says how fast it is, the barometer is left out for so long",
-            rtdata::range(Duration{0}, Duration{1min})),
-        parameter("noise", &C::noise, "of the barometer, at least; what is more is found by itself", unit("m"),
-                  rtdata::range(0.01, 100.0)),
-        parameter("range", &C::range, "end of the accelerometer's range; 0: found by values that repeat there",
+            "acceleration", &C::acceleration,
+            "path of the field with the acceleration along the axis, 1 g at rest; default: `value`, or the only number",
+            TextIs::recorded),
+        parameter("burn", &C::burn,
+                  "how long the barometer is ignored after liftoff, if no accelerometer gives the speed",
+                  rtdata::range(Duration{0}, Duration{1min})),
+        parameter("noise", &C::noise, "least noise assumed for the barometer; more noise is detected automatically",
+                  unit("m"), rtdata::range(0.01, 100.0)),
+        parameter("range", &C::range, "end of the accelerometer's range; 0: detected from values that repeat there",
                   unit("[g]"), rtdata::range(0.0, 1000.0)));
   }
 };

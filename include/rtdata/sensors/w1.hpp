@@ -33,15 +33,15 @@ struct W1Temperature {
 };
 
 struct W1Config {
-  std::string device = {};                     ///< "28-000000c0ffee"; empty: the only one that there is
+  std::string device = {};                     ///< "28-000000c0ffee"; empty: the only one
   std::string root = {};                       ///< prefix of /sys, such as the host's root folder in a container
   Duration timeout = std::chrono::seconds{3};  ///< a read that takes longer is given up
 
   friend constexpr auto parameters(type_tag<W1Config>) {
     using namespace std::chrono_literals;
     return parameter_list(
-        parameter("device", &W1Config::device,
-                  "the thermometer, such as 28-000000c0ffee; empty: the only one that there is", TextIs::recorded),
+        parameter("device", &W1Config::device, "name of the thermometer, such as 28-000000c0ffee; empty: the only one",
+                  TextIs::recorded),
         parameter("root", &W1Config::root, "prefix of /sys, such as the host's root folder in a container",
                   TextIs::device),
         parameter("timeout", &W1Config::timeout, "a read that takes longer is given up",

@@ -34,7 +34,7 @@ class FakeGpio final : public GpioBackend {
   void unplug(const std::string& chip, bool hangs_up = false);
   /// Adds a new chip of that name.
   void plug_in(const std::string& chip);
-  /// Opening fails with this errno; 0: no longer.
+  /// Makes opening fail with this errno; 0: not any more.
   void refuse(const std::string& chip, int error_number);
   /// Another user has the line; empty: nobody.
   void occupy(const std::string& chip, unsigned number, const std::string& consumer);
@@ -42,7 +42,7 @@ class FakeGpio final : public GpioBackend {
   void drive(const std::string& chip, unsigned number, bool is_high, MonotonicTime time);
   /// The level on the wire, of outputs too.
   bool level(const std::string& chip, unsigned number) const;
-  /// Somebody has it.
+  /// True if it is in use.
   bool is_taken(const std::string& chip, unsigned number) const;
 
   std::size_t kept_edges() const noexcept override { return kept_; }
@@ -68,7 +68,7 @@ class FakeGpio final : public GpioBackend {
     std::vector<Line> lines;
     int error_number = 0;
     bool is_there = true;
-    unsigned generation = 0;  // plugged in so often
+    unsigned generation = 0;  // how often it was plugged in
   };
   Chip& chip(const std::string& name) const;
   std::unique_ptr<GpioRequest> take(const std::string& path, unsigned number, const std::string& consumer,

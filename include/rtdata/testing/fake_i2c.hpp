@@ -75,7 +75,7 @@ class FakeI2c final : public I2cTransport {
  public:
   /// Made when first asked for.
   FakeI2cChip& chip(unsigned address);
-  /// A transfer: to whom, and when it began in the time of the lane.
+  /// One transfer: the address, when it began (lane clock), and how long it took.
   struct Transfer {
     unsigned address = 0;
     MonotonicTime began{};

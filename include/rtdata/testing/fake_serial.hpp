@@ -30,10 +30,10 @@ class FakeSerial final : public SerialTransport {
   void send(std::string_view bytes);
   /// The time from each request to its answer, of the lane.
   void set_delay(Duration delay);
-  /// The port is gone until it is plugged in again; what was under way is lost.
+  /// The port is gone until it is plugged in again; data under way is lost.
   void unplug();
   void plug_in();
-  /// What was sent to the device, a write each.
+  /// What was sent to the device, one element for each write.
   std::vector<std::string> written() const;
 
   Result<void> open() override;

@@ -4,9 +4,9 @@
 ///     wires->on_transfer(0, [](std::span<const std::uint8_t> write, std::span<std::uint8_t> read) { ... });
 ///     rtdata::SpiBus bus("spi0", wires);
 ///
-/// A chip select without a function has no chip: it reads as ones. The function is called for each piece of a
-/// transfer; either span may be empty. On a manual loop a transfer takes as much virtual time as is set, and one
-/// that takes longer than the bus's timeout hangs.
+/// A chip select without a function has no chip: it reads as ones. The function is called for each segment of a
+/// transfer; either span may be empty. On a manual loop a transfer takes as much virtual time as is set, and one that
+/// takes longer than the bus's timeout hangs.
 ///
 /// Thread: any; a lock protects it. The functions are called under it, and must not call the fake.
 #pragma once

@@ -32,7 +32,7 @@ std::string shown(std::string_view text) {
 std::string_view mistake_in_place(const AnalogConfig& config) {
   if (config.file.empty() && config.device.empty()) return "it has neither `file` nor `device`";
   if (!config.file.empty() && !config.device.empty()) return "it has both `file` and `device`";
-  if (config.device.empty() != config.channel.empty()) return "`device` and `channel` go together";
+  if (config.device.empty() != config.channel.empty()) return "`device` and `channel` need each other: set both";
   if (!config.channel.empty() && iio_quantity(config.channel) == nullptr)
     return "`channel` is not the name of a channel; such as voltage0";
   return {};
@@ -85,7 +85,7 @@ class AnalogDevice final : public detail::LaneDevice {
     AnalogReading reading{convert(config_, *adc), *adc};
     if (!std::isfinite(reading.value)) {
       return port.unreadable({Errc::out_of_range, cannot_read, config_.file,
-                              "converted, " + std::to_string(*adc) + " is not a finite number",
+                              "after conversion, " + std::to_string(*adc) + " is not a finite number",
                               "check `scale` and the voltages"});
     }
     port.publish(&reading);
@@ -101,7 +101,7 @@ const char* mistake_in_range(const AnalogConfig& config) {
   const double span = span_voltage_of_value(config);
   const bool has_width = config.conversion == AnalogConversion::standard ? span != 0
                                                                          : span != config.zero_value_voltage;
-  return has_width ? "" : "the sensor's range has no width";
+  return has_width ? "" : "the sensor's range has the width 0";
 }
 constexpr const char* range_advice = "set span_value_voltage to the voltage of the full value";
 
@@ -156,8 +156,8 @@ Result<std::int64_t> parse_adc(const AnalogConfig& config, std::string_view text
   const auto failure = [&](Errc code, std::string why, const char* advice) {
     return Error{code, cannot_read, config.file, std::move(why), advice};
   };
-  constexpr const char* no_adc = "the file of a converter holds one whole number; check `file`";
-  if (text.size() >= detail::SysfsFile::most) return failure(Errc::bad_data, "it holds more than a number", no_adc);
+  constexpr const char* no_adc = "check `file`: the file of a converter contains one whole number";
+  if (text.size() >= detail::SysfsFile::most) return failure(Errc::bad_data, "it contains more than a number", no_adc);
   if (number.empty()) return failure(Errc::bad_data, "it is empty", no_adc);
   std::int64_t adc = 0;
   const auto [end, status] = std::from_chars(number.data(), number.data() + number.size(), adc);

@@ -35,7 +35,7 @@ SensorStatus last_known(const detail::Node& node) {
   detail::LoopCore& loop = *source.loop();
   SensorStatus known;
   known.health = Health::faulted;
-  known.reason = "its loop does not turn, and its state is not known";
+  known.reason = "its loop does not turn, so its state is unknown";
   for (const auto* bridge : loop.runtime.main().inbound) {
     std::vector<SensorStatus> all;
     bridge->receiving.add_statuses(all);

@@ -58,8 +58,8 @@ class FeedNode : public SourceNode {
   }
   void fail_size(std::size_t given) {
     fail({Errc::bad_data, "cannot publish", object_name(),
-          "it was given " + std::to_string(given) + " bytes, its payload has " + std::to_string(payload_size()),
-          "give it bytes as its description lays them out"});
+          "it was given " + std::to_string(given) + " bytes, but its payload has " + std::to_string(payload_size()),
+          "give it the bytes of its description"});
   }
   void fault(const Error& error) {
     if (is_running_) origin_.begin_absence(Gap::Kind::disconnected, error.id(), loop()->now());

@@ -1,4 +1,4 @@
-// Speeds in a unit that the user chose, a time that the user chose: "L" a "min".
+// Speeds in units and times that the user chooses: "L" per "min".
 #pragma once
 
 #include <string>

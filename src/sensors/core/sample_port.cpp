@@ -28,7 +28,7 @@ void SamplePort::lost(std::uint64_t count) {
   sensor_->count_lost(count);
   error_ = Error{Errc::backlog, "samples are lost", sensor_->blame_name(),
                  "the device dropped " + std::to_string(count) + " before they were read",
-                 "read it more often, or let it measure more slowly"};
+                 "read it more often, or set a lower sample rate in the device"};
 }
 
 void SamplePort::lost_in_fault(std::uint64_t count) {

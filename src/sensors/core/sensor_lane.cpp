@@ -10,7 +10,7 @@ namespace rtdata::detail {
 namespace {
 
 constexpr std::string_view still_reading = "still reading";
-// How long the start of a program waits for a device that it does not need: the others are to begin.
+// How long the start of a program waits for a device that is not required, so that the others can start.
 constexpr Duration longest_start = std::chrono::seconds{1};
 
 /// Closes the device of a transaction, after the transaction itself if it is running.
@@ -27,7 +27,7 @@ class Closing final : public LaneJob {
 }  // namespace
 
 void Transaction::run() noexcept {
-  if (is_unwanted_.load(std::memory_order_relaxed)) return;  // stopped while it waited: the device is left alone
+  if (is_unwanted_.load(std::memory_order_relaxed)) return;  // stopped while it waited: the device is not touched
   if (!is_resumed_) began_ = lane_now();
   is_under_way_.store(true, std::memory_order_relaxed);
   transact();
@@ -88,7 +88,7 @@ void SensorNode::find_lane() {
 
 Result<void> SensorNode::submit_opening() {
   LaneSide& side = *lane_side();
-  side.lane = nullptr;  // what is opened may be another physical device than before
+  side.lane = nullptr;  // the opened device may differ from the earlier one
   side.transaction = nullptr;
   try {
     side.opening = side.device->make_opening();
@@ -117,7 +117,7 @@ void SensorNode::opening_done(Transaction& opening, LaneJob::Outcome outcome) {
     });
   } else {
     const LoopCore::Calling user_code(loop()->runtime);
-    side.opening = done;  // under way still: what the device does to the sensor ends it
+    side.opening = done;  // still running: an action of the device on the sensor ends it
     try {
       opened = side.device->take_opening(opening);
     } catch (...) {

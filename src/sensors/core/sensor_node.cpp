@@ -11,7 +11,7 @@ void check_rate(Rate rate, const std::string& name) {
   if (rate && rate.period() >= std::chrono::microseconds{1}) return;
   throw SetupError({Errc::bad_argument, "cannot use this rate", "sensor " + name,
                     rate ? "its period is " + to_string(rate.period()) : "a sensor needs a rate",
-                    "set `rate` to something up to 1 MHz, such as 10_Hz"});
+                    "set `rate` to at most 1 MHz, such as 10_Hz"});
 }
 
 }  // namespace
@@ -86,7 +86,7 @@ void SensorNode::started(const Result<void>& opened) {
   if (opened) begin_warm_up();
   begin_schedule();  // before a handler runs, which may stop it
   if (opened) {
-    set_health(Health::ok, nullptr);  // what it was before it stopped is over
+    set_health(Health::ok, nullptr);  // the state before the stop has ended
   } else {
     extra().failures = settings().faulted_after - 1;
     failed(opened.error(), loop()->now());
@@ -215,8 +215,8 @@ void SensorNode::held(Duration took) {
   const Duration next = std::min(multiple(2, period()), multiple(slowest, wanted));
   if (next == period()) return;
   change_period(next);
-  report({Errc::held_too_long, "slowed down to one in " + to_string(next), object_name(), lasted,
-          "make its read shorter, or read it on a lane; wanted is one in " + to_string(wanted)});
+  report({Errc::held_too_long, "slowed down to one read every " + to_string(next), object_name(), lasted,
+          "make its read shorter, or read it on a lane; the configured period is " + to_string(wanted)});
 }
 
 void SensorNode::on_close() noexcept {
@@ -347,7 +347,7 @@ void SensorNode::count_failed(const SamplePort& port, const Error& error, const 
 
 void SensorNode::fail(const SamplePort& port, const Error& error, const Tick& tick) {
   count_failed(port, error, tick);
-  failed(error, tick.now);  // only now, since the handler may stop the sensor
+  failed(error, tick.now);  // only now, because the handler may stop the sensor
 }
 
 void SensorNode::recovered() {
@@ -357,7 +357,7 @@ void SensorNode::recovered() {
 }
 
 void SensorNode::complain(const Error& error) {
-  forget_failures();  // those before it are no row any more
+  forget_failures();  // earlier ones are no longer consecutive
   report(error);
   if (is_open()) set_health(Health::degraded, &error);
 }

@@ -63,7 +63,7 @@ class SensorNode final : public SourceNode, public RateMember {
     ++origin_.counts.received;
     ++origin_.counts.unreadable;
   }
-  /// Counts a sample that is not meant, as filtered; the read has not failed.
+  /// Counts a sample that `only` does not select as filtered; the read has not failed.
   static void leave_out(SamplePort& port) noexcept;
   /// Publishes the sample. False: its processing kept it back, or found it unusable.
   static bool is_published(SamplePort& port, void* payload);
@@ -174,7 +174,7 @@ class SensorNode final : public SourceNode, public RateMember {
     unsigned faulted_after = SensorConfig{}.faulted_after;
     bool is_required = false;
     OnOverrun on_overrun = OnOverrun::warn;
-    Duration wanted_period{0};  // slowed down from it; 0: it was not
+    Duration wanted_period{0};  // the period before slowing down; 0: not slowed down
     Backoff backoff;
     MonotonicTime retry_at{};
     unsigned failures = 0;   // in a row
@@ -182,7 +182,7 @@ class SensorNode final : public SourceNode, public RateMember {
   };
   std::unique_ptr<OnDemand> make_on_demand() const override { return std::make_unique<Extra>(); }
   Extra& extra() { return static_cast<Extra&>(on_demand()); }
-  /// Null: nothing of it is needed so far.
+  /// Null: not needed so far.
   Extra* extra_if_any() const noexcept { return static_cast<Extra*>(on_demand_.get()); }
   /// As set, or the usual ones.
   const Extra& settings() const noexcept;

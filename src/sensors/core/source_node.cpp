@@ -98,14 +98,15 @@ void SourceNode::begin_warm_up() noexcept {
   if (warm_up_ <= Duration{0}) return;
   warm_until_ = later(loop()->now(), warm_up_);
   loop()->call_own("sensor", [&] {
-    loop()->runtime.log(LogLevel::info, object_name(),
-                        "warms up for " + to_string(warm_up_) + ": its samples are filtered until then");
+    loop()->runtime.log(
+        LogLevel::info, object_name(),
+        "warms up for " + to_string(warm_up_) + ": its samples are discarded until then (counted as filtered)");
   });
 }
 
 bool SourceNode::is_warming_up(Time time) noexcept {
   const MonotonicTime now = loop()->now();
-  // A device that keeps its samples gives them later. Its own clock may be wrong by any amount.
+  // A device that stores its samples delivers them later. Its own clock may be wrong by any amount.
   const Time until = loop()->runtime.event_time(warm_until_);
   if (now < warm_until_ || (time < until && span_between(time, until) <= warm_up_)) return true;
   if (now - warm_until_ > warm_up_) warm_until_ = MonotonicTime::min();
@@ -126,9 +127,9 @@ void SourceNode::report(const Error& error) noexcept {
       Call call(*this);
       loop()->call_user(object, [&] { on_demand_->on_error({object, error, 1}); });
     } else {
-      origin_.topic.runtime().report(nullptr, object_name(), error);  // also of one that user code has closed meanwhile
+      origin_.topic.runtime().report(nullptr, object_name(), error);  // also if user code has closed it meanwhile
     }
-  } catch (...) {  // out of memory while telling of an error: it is counted all the same
+  } catch (...) {  // out of memory while reporting an error: it is counted nevertheless
   }
 }
 
@@ -136,7 +137,7 @@ void SourceNode::set_health(Health health, const Error* reason) {
   if (!is_open()) return;
   if (reason != nullptr) {
     loop()->call_own("sensor", [&] { on_demand().reason = loop()->runtime.hide(reason->text()); });
-    if (!is_open()) return;  // closed by who was told that there is no memory
+    if (!is_open()) return;  // closed by the handler of the out-of-memory error
   }
   if (health == health_) return;
   Call call(*this);  // the handler may close this

@@ -70,7 +70,7 @@ class SourceNode : public SensorEntry {
     if (on_demand_ != nullptr) on_demand_->on_error.reset();
   }
   /// State that most sensors never need; made at its first use, because there may be thousands of sensors. A derived
-  /// class may add to it.
+  /// class may extend it.
   struct OnDemand {
     OnDemand() = default;
     OnDemand(const OnDemand&) = delete;

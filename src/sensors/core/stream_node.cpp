@@ -21,7 +21,7 @@ void StreamNode::stop_schedule(MonotonicTime end) {
 }
 
 void StreamNode::set_rate(Rate) {
-  throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "the device sends when it likes",
+  throw SetupError({Errc::bad_argument, "cannot set a rate", object_name(), "the device decides when it sends",
                     "set the rate in the device"});
 }
 

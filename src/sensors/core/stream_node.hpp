@@ -46,21 +46,21 @@ class StreamNode : public SourceNode {
   /// There is no connection since `since`: faulted, tried again later. With `silence` the gap begins at the last
   /// sample; without, a connection with bytes but no sample counts as none.
   void lose(const Error& error, MonotonicTime since);
-  /// A sample came just now, or some.
+  /// One or more samples came just now.
   void heard();
-  /// Bytes, of which samples are made: that ends a silence.
+  /// Bytes came, from which samples are made: this ends a silence.
   void heard_bytes();
-  /// A sample that is not meant: it counts as filtered.
+  /// A sample that `only` does not select: it counts as filtered.
   void leave_out();
   /// A sample that could be used.
   void succeed();
-  /// No sample, and it is well.
+  /// No sample, and no problem.
   void set_healthy();
   /// Takes a decoded sample. False: its processing found it unusable, which is reported.
   bool take_or_fail(void* payload, Time time);
   /// Takes a sample that could not be decoded.
   void fail(const Error& error);
-  /// Tells of the error; degraded because of it.
+  /// Reports the error; the sensor is degraded because of it.
   void degrade(const Error& error);
   bool is_silent() const noexcept { return is_silent_; }
   MonotonicTime heard_at() const noexcept { return heard_at_; }
@@ -80,7 +80,7 @@ class StreamNode : public SourceNode {
   bool is_connected_ = false;
   bool has_come_ = false;   // a sample, since it was opened
   bool has_heard_ = false;  // bytes
-  bool is_silent_ = false;  // for too long
+  bool is_silent_ = false;  // silent for too long
   bool is_running_ = false;
 };
 

@@ -15,8 +15,8 @@
 namespace rtdata::detail {
 namespace {
 
-/// What statfs calls them (man 2 statfs). Where an open file shows what is written to it at once, unlike on file
-/// systems of other machines, or of layers.
+/// Local file systems, by their magic numbers (man 2 statfs): an open file shows new content at once, unlike on network
+/// and overlay file systems.
 constexpr unsigned long sysfs = 0x62656572;
 constexpr unsigned long local_file_systems[] = {0x01021994, 0x858458f6, 0xef53, 0x58465342, 0x9123683e, 0xf2f52010};
 
@@ -89,7 +89,7 @@ Result<void> check_readable(const std::string& path, const char* what, const std
   if (::stat(path.c_str(), &status) != 0) return system_error(errno, what, path, advice);
   if (S_ISDIR(status.st_mode)) return system_error(EISDIR, what, path, advice);
   if (::faccessat(AT_FDCWD, path.c_str(), R_OK, AT_EACCESS) != 0) {
-    return system_error(errno, what, path, "`ls -l` shows who may read it; run as such a user, or add a udev rule");
+    return system_error(errno, what, path, "run as a user that may read it (`ls -l` shows which), or add a udev rule");
   }
   return {};
 }

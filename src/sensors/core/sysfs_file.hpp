@@ -33,7 +33,7 @@ class SysfsFile {
   int error_number() const noexcept { return error_number_; }
   std::string_view text() const noexcept { return {buffer_.data(), size_}; }
   const std::string& path() const noexcept { return path_; }
-  /// What was read stays. The next read opens it again.
+  /// The content stays. The next read opens the file again.
   void close() noexcept;
 
  private:
@@ -80,7 +80,7 @@ class FindFile final : public Transaction {
   Result<std::string> path_ = std::string();
 };
 
-/// Whether the file is there and may be read. `what`, `advice`: of the error.
+/// Checks that the file exists and may be read. `what`, `advice`: of the error.
 Result<void> check_readable(const std::string& path, const char* what, const std::string& advice);
 /// One lane per physical device: its directory for a file below /sys, else the file itself.
 std::string physical_device_of(const std::string& path);

@@ -23,17 +23,17 @@ std::vector<DerivedField> fields_of(const DerivedConfig& config) {
 /// Why the configuration is invalid, apart from its expressions; empty: it is valid.
 std::string refusal_of(const DerivedConfig& config) {
   if (config.expression.empty() == config.fields.empty())
-    return config.fields.empty() ? "it has no `expression`, and no `fields`"
-                                 : "give `expression` or `fields`, not both";
+    return config.fields.empty() ? "it has neither `expression` nor `fields`"
+                                 : "use `expression` or `fields`, not both";
   if (!config.unit.empty() && config.expression.empty())
-    return "`unit` belongs to `expression`; give each of `fields` its own `unit`";
+    return "`unit` works only with `expression`: set the `unit` of each of `fields` instead";
   if (!is_topic_name(config.on)) return "\"" + config.on + "\" is not a topic";
   for (const std::string& topic : config.with)
     if (!is_topic_name(topic)) return "\"" + topic + "\" is not a topic";
   for (std::size_t i = 0; i < config.with.size(); ++i)
     if (config.with[i] == config.on || std::find(config.with.begin(), config.with.begin() + std::ptrdiff_t(i),
                                                  config.with[i]) != config.with.begin() + std::ptrdiff_t(i))
-      return "the topic \"" + config.with[i] + "\" is there twice";
+      return "the topic \"" + config.with[i] + "\" is listed twice";
   return "";
 }
 
@@ -65,7 +65,7 @@ class DerivedNode final : public FeedNode {
       outputs_.push_back({Expression(fields[i].expression, names), &description->leaves()[i]});
   }
 
-  /// Apart, since a subscription may fail.
+  /// Separate, because a subscription may fail.
   void subscribe(Loop& loop) {
     subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
                                         [this](std::size_t from, const EventView& event) { take(from, event); });
@@ -109,14 +109,14 @@ class DerivedNode final : public FeedNode {
       if (lacking->missing != nullptr)
         return fail({Errc::not_found, cannot_derive, object_name(), ExpressionSources::why(*lacking, age_),
                      "check its fields, and the expression"});
-      // Told once, and again when it is another topic that is missing.
+      // Reported once, and again if another topic is missing.
       if (health() == Health::faulted && absent_ == lacking) return;
       absent_ = lacking;
       return fault({Errc::timed_out, cannot_derive, object_name(), ExpressionSources::why(*lacking, age_),
-                    "the sensor goes on with the next event of that topic; a longer `age` bridges longer pauses"});
+                    "the sensor continues with the next event of that topic; a longer `age` bridges longer pauses"});
     }
     const Output* failed = nullptr;
-    for (Output& output : outputs_) {  // all of them, since memories take in each event
+    for (Output& output : outputs_) {  // all of them, because memories use each event
       const ExpressionResult result = output.expression.evaluate(time);
       if (result.has_failed() && failed == nullptr) failed = &output;
       std::byte* const optional = payload_.data() + output.leaf->offset;
@@ -125,7 +125,7 @@ class DerivedNode final : public FeedNode {
     }
     if (failed != nullptr) {
       fail({Errc::bad_data, cannot_derive, object_name() + ", field " + failed->leaf->path, failed->expression.why(),
-            "guard the expression, as in `x != 0 ? 1 / x : 0`, or check what is measured"});
+            "guard the expression, as in `x != 0 ? 1 / x : 0`, or check the measured value"});
       return;
     }
     publish(payload_.data(), time);

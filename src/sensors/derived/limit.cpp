@@ -25,7 +25,7 @@ std::string no_such_number(const LimitConfig& config) {
   return "the topic \"" + config.on + "\" has no number `" + (config.field.empty() ? "value" : config.field) + "`";
 }
 
-/// One is too low, the other too high.
+/// True if one is too low and the other too high.
 bool are_opposite(LimitLevel a, LimitLevel b) {
   const auto is_low = [](LimitLevel level) { return level == LimitLevel::low || level == LimitLevel::low_low; };
   const auto is_high = [](LimitLevel level) { return level == LimitLevel::high || level == LimitLevel::high_high; };
@@ -47,7 +47,7 @@ class LimitNode final : public FeedNode {
     set_numbered();  // it makes its events itself
   }
 
-  /// Apart, since a subscription may fail.
+  /// Separate, because a subscription may fail.
   void subscribe(Loop& loop) {
     subscription_ = loop.subscribe(config_.on, [this](const EventView& event) { take(event); });
     subscription_.set_name("sensor " + origin_.name + " on " + config_.on);
@@ -168,7 +168,7 @@ class LimitNode final : public FeedNode {
     if (!is_open()) return;
     fault({Errc::timed_out, cannot_watch, object_name(),
            "the topic \"" + config_.on + "\" has had no event for " + to_string(config_.silence),
-           "the limit goes on with the next event of that topic; a longer `silence` bridges longer pauses"});
+           "the limit continues with the next event of that topic; a longer `silence` bridges longer pauses"});
   }
 
   void on_close() noexcept override {
@@ -185,7 +185,7 @@ class LimitNode final : public FeedNode {
   Timer silence_;
   Timer held_;  // fires when `join` is over, while a change is held back
   MonotonicTime heard_{};
-  std::uint64_t description_ = 0;  // of which the field is; 0: none yet
+  std::uint64_t description_ = 0;  // description of the field; 0: none yet
   const Leaf* field_ = nullptr;
   std::uint32_t waiting_ = 0;                        // changes that were not published
   int worst_ = 0;                                    // of what was published since `join` began
@@ -215,7 +215,7 @@ void check_limit_field(const LimitConfig& config,
   std::string why = no_such_number(config);
   const std::string nearest = nearest_name(config.field, numbers);
   if (nearest.empty() && !numbers.empty()) {
-    why += "; there are";
+    why += "; available:";
     for (const std::string& number : numbers) why += " " + number;
   }
   problems.add(item_at(item, config.field.empty() ? "on" : "field").problem("unknown-field", why, nearest));

@@ -21,7 +21,7 @@ namespace {
 
 constexpr const char* cannot_pass = "cannot pass on events";
 constexpr const char*
-    processes_elsewhere = "events are passed on as they are: give `process` to the sensor that they are from";
+    processes_elsewhere = "events are passed on unchanged: set `process` of the sensor that publishes them";
 constexpr std::size_t most_at_once = 500;  // events that are published, since topics have room for 1024 that wait
 constexpr Duration between_parts = std::chrono::milliseconds{1};
 
@@ -35,7 +35,7 @@ std::string refusal_of(const TriggerConfig& config) {
   const std::vector<std::string> topics = detail::topics_of(config.on, config.with);
   for (auto topic = topics.begin(); topic != topics.end(); ++topic) {
     if (!is_topic_name(*topic)) return "\"" + *topic + "\" is not a topic";
-    if (std::find(topics.begin(), topic, *topic) != topic) return "the topic \"" + *topic + "\" is there twice";
+    if (std::find(topics.begin(), topic, *topic) != topic) return "the topic \"" + *topic + "\" is listed twice";
   }
   return "";
 }
@@ -44,7 +44,7 @@ std::string refusal_of(const TriggerConfig& config) {
 
 namespace detail {
 
-/// Events of one size, the oldest first. Takes its memory at once.
+/// Events of one size, the oldest first. Allocates its memory at once.
 class EventRing {
  public:
   EventRing(std::size_t room, std::size_t payload_bytes)
@@ -56,7 +56,7 @@ class EventRing {
     return sizeof(std::int64_t) + (payload_bytes + 7) / 8 * 8;
   }
   bool is_full() const noexcept { return end_ - begin_ == room_; }
-  /// Counts all that came; those from `begin` on are there.
+  /// Counts all events so far; those from `begin` on are stored.
   std::uint64_t begin() const noexcept { return begin_; }
   std::uint64_t end() const noexcept { return end_; }
   Time oldest() const noexcept {
@@ -95,10 +95,10 @@ class TriggerNode final : public FeedNode {
           Call call(*this);
           publish_some();
         }) {
-    set_numbered();  // it makes its events of those of others
+    set_numbered();  // it makes its events from those of other origins
   }
 
-  /// Apart, since a subscription may fail.
+  /// Separate, because a subscription may fail.
   void subscribe(Loop& loop) {
     subscriptions_ = sources_.subscribe(loop, "sensor " + origin_.name,
                                         [this](std::size_t from, const EventView& event) { take(from, event); });
@@ -155,7 +155,7 @@ class TriggerNode final : public FeedNode {
     publish_some();
   }
 
-  /// Whether the ring has place for it.
+  /// True if the ring has room for it.
   bool is_alike(const Description& description) {
     if (description.serial() == serial_) return true;
     if (!description_->same_layout(description) || !description_->same_meaning(description)) return false;
@@ -167,7 +167,7 @@ class TriggerNode final : public FeedNode {
     ++origin_.counts.received;
     ++origin_.counts.unreadable;
     tell(other_payload, Errc::bad_data,
-         [&] { return "the topic \"" + config_.on + "\" carries something else than at the start"; });
+         [&] { return "the topic \"" + config_.on + "\" has other fields than at the start"; });
   }
 
   bool holds(Time now) {
@@ -188,14 +188,14 @@ class TriggerNode final : public FeedNode {
     clear(condition);
     return result.is_true();
   }
-  /// Once for each time that it begins.
+  /// Reports once each time that it begins.
   template <class Why>
   void tell(Trouble trouble, Errc code, Why&& why) {
     if ((troubles_ & trouble) != 0) return;
     if ((trouble & condition) != 0) troubles_ &= ~unsigned{condition};
     troubles_ |= trouble;
     complain({code, cannot_pass, object_name(), why(),
-              trouble == short_ring ? "give it more `events`" : "no event is passed on until then"},
+              trouble == short_ring ? "set more `events`" : "no event is passed on until then"},
              Health::degraded);
   }
   void clear(Trouble trouble) {
@@ -223,8 +223,8 @@ class TriggerNode final : public FeedNode {
     forget();
     if (reach > config_.before) return clear(short_ring);
     tell(short_ring, Errc::does_not_fit, [&] {
-      return "the ring is full with " + std::to_string(config_.events) + " events, of " + to_string(reach) +
-             " and not of " + to_string(config_.before);
+      return "the ring is full with " + std::to_string(config_.events) + " events: they reach back " +
+             to_string(reach) + ", not " + to_string(config_.before);
     });
   }
 
@@ -242,7 +242,7 @@ class TriggerNode final : public FeedNode {
     if (take_sample(payload, time) == Fate::unusable) complain_of_input(unusable_error());
   }
 
-  /// Nothing comes any more.
+  /// No more events come.
   void empty() noexcept {
     more_.stop();
     if (!is_running()) return;
@@ -269,8 +269,8 @@ class TriggerNode final : public FeedNode {
   EventRing ring_;
   Timer more_;
   std::vector<Subscription> subscriptions_;
-  std::uint64_t serial_ = 0;    // of a description that is alike
-  std::uint64_t released_ = 0;  // what came before this in the ring is to be published
+  std::uint64_t serial_ = 0;    // with an equal description
+  std::uint64_t released_ = 0;  // events before this position in the ring must be published
   std::optional<Time> first_;   // since the start
   unsigned troubles_ = 0;
 };
@@ -301,7 +301,7 @@ TriggerSensor::TriggerSensor(Loop& loop, FeedConfig feed, TriggerConfig config) 
   if (topic == nullptr)
     refuse(Errc::not_found, "there is no topic \"" + config.on + "\" yet", "make the part that publishes it first");
   if (topic->type.description == nullptr)
-    refuse(Errc::bad_description, "what the topic \"" + config.on + "\" carries has no description");
+    refuse(Errc::bad_description, "the topic \"" + config.on + "\" has no description of its values");
   const std::uint64_t memory = std::min<std::uint64_t>(
       static_cast<std::uint64_t>(::sysconf(_SC_PHYS_PAGES)) * static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE)),
       std::numeric_limits<std::size_t>::max() / 2);

@@ -38,14 +38,14 @@ const VerticalUnit* vertical_unit(std::string_view name, bool is_acceleration) {
 /// m in the standard atmosphere.
 double height_of_pressure(double pascals) { return 44330.77 * (1 - std::pow(pascals / 101325, 0.190263)); }
 
-/// Why a field cannot be taken; empty: it can.
+/// Why a field cannot be used; empty: it can.
 std::string vertical_refusal(const Description& payload, const std::string& topic, const std::string& field,
                              bool is_acceleration) {
   const Leaf* const leaf = detail::number_field(payload, field);
   if (leaf == nullptr) return "the topic \"" + topic + "\" has no number `" + (field.empty() ? "value" : field) + "`";
   if (vertical_unit(leaf->unit, is_acceleration) == nullptr)
     return "`" + leaf->path + "` of the topic \"" + topic + "\" is in " + std::string(leaf->unit) + "; " +
-           (is_acceleration ? "it takes [g] and m/s2" : "it takes m, Pa, hPa, kPa, mbar and bar");
+           (is_acceleration ? "use [g] or m/s2" : "use m, Pa, hPa, kPa, mbar or bar");
   return "";
 }
 
@@ -56,7 +56,7 @@ const ConfigItem& vertical_item(const ConfigItem& item, const char* key) {
 
 std::string vertical_mistake(const VerticalConfig& config) {
   if (config.barometer.empty() && config.accelerometer.empty())
-    return "give a topic as `barometer`, `accelerometer`, or both";
+    return "set `barometer`, `accelerometer`, or both, to a topic";
   for (const std::string* const topic : {&config.barometer, &config.accelerometer})
     if (!topic->empty() && !is_topic_name(*topic)) return "\"" + *topic + "\" is not a topic";
   return "";
@@ -75,7 +75,7 @@ class VerticalNode final : public FeedNode {
     set_numbered();  // it makes its events itself
   }
 
-  /// Apart, since a subscription may fail.
+  /// Separate, because a subscription may fail.
   void subscribe(Loop& loop) {
     std::vector<std::string> sources;
     for (const std::string* const topic : {&config_.barometer, &config_.accelerometer}) {
@@ -95,7 +95,7 @@ class VerticalNode final : public FeedNode {
 
  private:
   struct Field {
-    std::uint64_t description = 0;  // of which it is; 0: none yet
+    std::uint64_t description = 0;  // serial of its description; 0: none yet
     const Leaf* leaf = nullptr;
     const VerticalUnit* unit = nullptr;
   };

@@ -55,7 +55,7 @@ class CounterDevice final : public detail::SensorDevice {
   void take(const GpioEdge& edge) {
     const std::uint64_t count = before_ + edge.number;
     const std::uint64_t more = count - count_;
-    // The first of an interval has no pulse before it to be measured from, unless there is one that is not too old.
+    // The first pulse of an interval can be measured only from an earlier pulse that is not too old.
     if (in_interval_ == 0 && (!earlier_ || edge.time - *earlier_ >= config_.still_after)) {
       earlier_ = edge.time;
       in_interval_ = 0;
@@ -82,7 +82,7 @@ class CounterDevice final : public detail::SensorDevice {
 
   void tell(const Error& error) {
     if (edges_.failure()) return;           // the next tick fails with it
-    if (backend_->numbers_edges()) return;  // what was dropped is in the count
+    if (backend_->numbers_edges()) return;  // dropped pulses are in the count
     loop_.core().runtime.report(&loop_.core(), "sensor " + name_, error);
   }
 
@@ -124,9 +124,9 @@ CounterSensor::CounterSensor(Loop& loop, SensorConfig sensor, CounterConfig conf
     throw SetupError({Errc::bad_argument, "cannot use this counter", "sensor " + sensor.name, why, advice});
   };
   if (config.input.line.text.empty()) refuse("it has no line", "set `line`, such as \"GPIO17\"");
-  if (!std::isfinite(config.per_pulse) || config.per_pulse == 0) refuse("per_pulse is 0 or no number", "such as 1");
+  if (!std::isfinite(config.per_pulse) || config.per_pulse == 0) refuse("per_pulse is 0 or not a number", "such as 1");
   if (config.per != "s" && config.per != "min" && config.per != "h")
-    refuse("`per` is not a unit of time", "s, min or h");
+    refuse("`per` is not a unit of time", "use s, min or h");
   if (config.still_after <= Duration{0}) refuse("still_after is not positive", "such as 5 s");
   if (config.input.consumer == GpioInput{}.consumer) config.input.consumer += " " + sensor.name;
   auto type = detail::described_type(counter_description(config).or_throw());

@@ -51,7 +51,7 @@ class EdgeNode final : public StreamNode {
     before_ = count_;
     accounted_ = {};
     opened();
-    set_healthy();  // though still
+    set_healthy();  // although no edge came
   }
   void close_stream() noexcept override {
     settle_accounts();
@@ -65,7 +65,7 @@ class EdgeNode final : public StreamNode {
     origin_.counts.lost += now.lost - accounted_.lost;
     origin_.counts.received += now.filtered - accounted_.filtered;
     origin_.counts.filtered += now.filtered - accounted_.filtered;
-    if (now.overflows != accounted_.overflows) {  // how many are missing is not known: a gap says so
+    if (now.overflows != accounted_.overflows) {  // the number of missing edges is unknown: a gap shows this
       origin_.begin_absence(Gap::Kind::silent, id(Errc::backlog), last_);
       origin_.end_absence(loop()->now());
     }
@@ -87,7 +87,7 @@ class EdgeNode final : public StreamNode {
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", "line " + config_.input.line.text,
             "no edge for " + to_string(config_.silence),
-            "check what drives the line; `silence` sets how long it may be still"};
+            "check what drives the line; `silence` is how long the line may have no edge"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();

@@ -13,7 +13,7 @@ std::string written(const GpioLevel& level) {
   return level.chip.empty() ? level.line.text : level.chip + ":" + level.line.text;
 }
 
-/// The first that is there twice; null: none is.
+/// The first line that is listed twice; null: none.
 const GpioLevel* twice(const std::vector<GpioLevel>& lines) {
   for (auto one = lines.begin(); one != lines.end(); ++one)
     if (std::any_of(lines.begin(), one, [&](const GpioLevel& other) { return written(other) == written(*one); }))
@@ -123,7 +123,8 @@ class LevelsDevice final : public detail::LaneDevice {
 
 Result<std::shared_ptr<const Description>> levels_description(const LevelsConfig& config) {
   if (config.lines.empty())
-    return Error{Errc::bad_description, "cannot use these GPIO lines", "", "there is none", "list them in `lines`"};
+    return Error{Errc::bad_description, "cannot use these GPIO lines", "", "there are no lines",
+                 "list them in `lines`"};
   DescriptionBuilder builder("levels");
   for (const GpioLevel& level : config.lines) builder.field(level.name, Kind::boolean);
   return builder.build();
@@ -135,7 +136,8 @@ void check_config(const LevelsConfig& config, const ConfigItem& item, Problems& 
   if (const auto described = levels_description(config); !described)
     problems.add(lines->problem("bad-value", described.error().why + "; " + described.error().advice));
   if (const GpioLevel* again = twice(config.lines))
-    problems.add(lines->problem("duplicate-place", "the line " + written(*again) + " is there twice; once is enough"));
+    problems.add(
+        lines->problem("duplicate-place", "the line " + written(*again) + " is listed twice: remove one of them"));
 }
 
 ReadTime read_time(const LevelsConfig& config) {
@@ -151,7 +153,7 @@ LevelsSensor::LevelsSensor(Loop& loop, SensorConfig sensor, LevelsConfig config,
   };
   auto type = detail::described_type(levels_description(config).or_throw());
   if (config.timeout <= Duration{0}) refuse("its timeout is not positive", "such as 1 s");
-  if (const GpioLevel* again = twice(config.lines)) refuse(written(*again) + " is there twice", "once is enough");
+  if (const GpioLevel* again = twice(config.lines)) refuse(written(*again) + " is listed twice", "remove one of them");
   for (const GpioLevel& level : config.lines)
     if (level.line.text.empty()) refuse("`" + level.name + "` has no line", "set `line`, such as \"GPIO17\"");
   auto device = std::make_unique<LevelsDevice>(sensor.name, std::move(config), std::move(backend));

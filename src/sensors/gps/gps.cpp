@@ -57,7 +57,7 @@ class GpsNode final : public StreamNode {
     if (is_open()) stream_.wait(start_limit);
     refusal_ = nullptr;
     if (is_open() && stream_.is_connecting() && !refusal) {
-      refusal = Error{Errc::timed_out, "cannot connect", server(), "no answer in " + to_string(start_limit),
+      refusal = Error{Errc::timed_out, "cannot connect", server(), "no answer within " + to_string(start_limit),
                       "check `host` and `port`"};
     }
     if (!refusal) return;
@@ -98,8 +98,9 @@ class GpsNode final : public StreamNode {
     if (result && stream_.send(watch_command)) {
       opened();
     } else {
-      Error error = result ? Error{Errc::disconnected, "cannot speak to gpsd", server(), "gpsd takes no data", ""}
-                           : result.error();
+      Error error = result
+                        ? Error{Errc::disconnected, "cannot speak to gpsd", server(), "gpsd does not accept data", ""}
+                        : result.error();
       const bool is_here = config_.host == "localhost" || config_.host == "127.0.0.1" || config_.host == "::1";
       if (!result && is_here) error.advice = detail::how_to_start_gpsd;
       if (refusal_ != nullptr) {
@@ -135,7 +136,7 @@ class GpsNode final : public StreamNode {
   /// Takes the complete lines out of the buffer, whose bytes from `from` on are new.
   void take_lines(std::size_t from) {
     std::size_t begin = 0;
-    // A handler may stop the sensor, and start it again.
+    // A handler may stop and restart the sensor.
     const auto is_same = [this, connection = connections_] { return is_open() && connections_ == connection; };
     while (is_same()) {
       const auto end = line_.find('\n', std::max(begin, from));
@@ -178,7 +179,7 @@ class GpsNode final : public StreamNode {
   }
   void fail_overlong() {
     fail({Errc::does_not_fit, "cannot use a line of gpsd", server(),
-          "it is longer than " + std::to_string(most_line) + " bytes", "is it gpsd that serves this port?"});
+          "it is longer than " + std::to_string(most_line) + " bytes", "check that gpsd serves this port"});
   }
 
   bool is_wanted(std::string_view device) const noexcept { return config_.device.empty() || device == config_.device; }
@@ -207,13 +208,13 @@ class GpsNode final : public StreamNode {
       lose_receiver();
   }
   void lose_receiver() {
-    is_several_ = false;  // that is not the reason any more
+    is_several_ = false;  // no longer the reason
     degrade(no_receiver());
   }
   Error no_receiver() const {
     if (config_.device.empty() || devices_.empty()) {
       return {Errc::not_found, "there is no receiver", server(), "gpsd has none",
-              "plug it in, and name its device in /etc/default/gpsd, or to `gpsdctl add`"};
+              "plug it in, and add its device to /etc/default/gpsd, or with `gpsdctl add`"};
     }
     return {Errc::not_found, "there is no receiver " + config_.device, server(), "gpsd has " + joined(devices_),
             "set `device` to one of these"};
@@ -250,7 +251,7 @@ class GpsNode final : public StreamNode {
     if (names.size() < 2) return;
     is_several_ = true;
     degrade({Errc::bad_configuration, "several receivers", server(), "gpsd has " + joined(names),
-             "set `device` to one of these, and make a sensor for each; here their reports come as one series"});
+             "make a sensor for each, with its `device`: now the reports of all of them come mixed"});
   }
 
   void offer_time(const GpsFix& fix, Receiver& from) {
@@ -273,12 +274,12 @@ class GpsNode final : public StreamNode {
       case GpsTimeCheck::Verdict::other_clock:
         return refuse_time(
             both("is synchronised to " + to_string(*system.accuracy)),
-            "the clock is trusted; check the receiver with `gpsmon`, and the synchronisation of the clock");
+            "check the receiver with `gpsmon`, and the synchronisation of the clock; until then the clock is trusted");
       case GpsTimeCheck::Verdict::other_age:
-        return refuse_time(both("nothing synchronises") + "; this program was made in " +
-                               std::to_string(int{this_release.date.year()}),
-                           "its count of weeks may have started again, as after 1024 weeks: update its firmware; or "
-                           "let NTP set the clock");
+        return refuse_time(
+            both("nothing synchronises") + "; this program was released in " +
+                std::to_string(int{this_release.date.year()}),
+            "update the receiver's firmware (its week counter restarts after 1024 weeks), or let NTP set the clock");
       case GpsTimeCheck::Verdict::good:
         break;
     }
@@ -289,7 +290,7 @@ class GpsNode final : public StreamNode {
     if (is_step_reported_ || step > most_step || step < -most_step) {
       if (!std::exchange(is_step_reported_, true)) {
         report({Errc::bad_data, "the receiver's time of day is not used", server(), "it stepped by " + to_string(step),
-                "recordings keep its earlier time of day"});
+                "check the receiver with `gpsmon`; recordings keep its earlier time of day"});
       }
       return;
     }
@@ -312,9 +313,9 @@ class GpsNode final : public StreamNode {
       return no_receiver();
     return {Errc::timed_out, "nothing comes", config_.device.empty() ? joined(devices_) : config_.device,
             "gpsd has reported no fix for " + to_string(config_.silence),
-            "check the receiver with `gpsmon`; `silence` sets how long it may be silent"};
+            "check the receiver with `gpsmon`; `silence` is how long it may be silent"};
   }
-  /// gpsd answers at once, so that a connection whose other end is gone without a word is noticed.
+  /// gpsd answers at once, so that a connection whose peer has disappeared silently is noticed.
   void fell_silent() override {
     is_several_ = false;  // silence is the reason now
     is_answered_ = false;
@@ -331,7 +332,7 @@ class GpsNode final : public StreamNode {
     lose(no_sign_of_life(), loop()->now());
   }
   Error no_sign_of_life() const {
-    return {Errc::timed_out, "lost gpsd", server(), "it gives no sign of life",
+    return {Errc::timed_out, "lost gpsd", server(), "it does not answer",
             "the program connects to it again; check whether its machine and the network are up"};
   }
 
@@ -347,17 +348,17 @@ class GpsNode final : public StreamNode {
   MonotonicTime began_{};                    // the attempt to connect
   unsigned connections_ = 0;                 // that have ended
   std::string line_;                         // bytes of lines that are not complete, at most most_line + most_read
-  bool is_overlong_ = false;                 // the rest of the line is thrown away
-  bool is_answered_ = false;                 // something has come since the question for a sign of life
+  bool is_overlong_ = false;                 // the rest of the line is discarded
+  bool is_answered_ = false;                 // data has come since gpsd was polled
   MonotonicTime at_{};                       // of the last read
   Time time_{};                              // of the last read
   GpsReport report_;
   std::vector<Receiver> receivers_;
   std::vector<std::string> devices_;   // the devices that gpsd named last
-  bool is_several_ = false;            // there are several receivers, which has been told
-  std::optional<Duration> time_line_;  // the time of day that was used first, less the monotonic time
+  bool is_several_ = false;            // there are several receivers, which was reported
+  std::optional<Duration> time_line_;  // the first used time of day minus the monotonic time
   bool is_step_reported_ = false;
-  bool is_time_reported_ = false;  // that it is used while nobody keeps the clock right
+  bool is_time_reported_ = false;  // it was reported that the time is used because the clock is not synchronised
   bool is_time_refusal_reported_ = false;
 };
 
@@ -366,7 +367,8 @@ class GpsNode final : public StreamNode {
 void check_config(const GpsConfig& config, const ConfigItem& item, Problems& problems) {
   if (!config.host.empty()) return;
   const ConfigItem* host = item.find("host");
-  problems.add((host != nullptr ? *host : item).problem("bad-value", "an empty host; such as \"localhost\""));
+  problems.add(
+      (host != nullptr ? *host : item).problem("bad-value", "the host is empty: set it, such as \"localhost\""));
 }
 
 ReadTime read_time(const GpsConfig&) { return {.on_loop = std::chrono::microseconds{500}}; }
@@ -376,7 +378,7 @@ GpsSensor::GpsSensor(Loop& loop, FeedConfig feed, GpsConfig config) {
     throw SetupError({Errc::bad_argument, "cannot use this gpsd", "sensor " + feed.name, why, advice});
   };
   if (config.host.empty()) refuse("it has no host", "such as localhost");
-  if (config.port == 0) refuse("port is 0", "gpsd's is 2947");
+  if (config.port == 0) refuse("port is 0", "set `port`; gpsd uses 2947");
   if (config.retry_first <= Duration{0}) refuse("retry_first is not positive", "such as 100 ms");
   const bool starts = config.start;
   auto* node = new detail::GpsNode(loop.core(), feed, std::move(config));

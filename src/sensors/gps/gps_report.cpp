@@ -12,7 +12,7 @@ namespace {
 
 // libgps has a parser, gps_unpack, but it accepts invalid values: docs/gps.md has examples.
 
-/// The numbers of a fix that are taken as they are.
+/// The numbers of a fix that are used unchanged.
 struct NumberKey {
   std::string_view name;
   std::optional<double> GpsFix::*member;
@@ -57,7 +57,7 @@ bool is_leap_second(std::string text) {
 }
 
 Error unusable(Errc code, std::string where, std::string why) {
-  return {code, "cannot use a line of gpsd", std::move(where), std::move(why), "is it gpsd that serves this port?"};
+  return {code, "cannot use a line of gpsd", std::move(where), std::move(why), "check that gpsd serves this port"};
 }
 
 /// Follows the parser through one object.
@@ -100,7 +100,7 @@ class ReportHandler {
     has_list_ = has_list_ || (depth_ == 1 && list_ == List::satellites);
     ++depth_;
     target_ = Target::nothing;
-    return depth_ > 1;  // a line that is an array is no report
+    return depth_ > 1;  // a line with an array is not a report
   }
   bool end_array() { return end_object(); }
   bool key(string_t& name);
@@ -276,7 +276,7 @@ Result<void> ReportHandler::end() {
   if (error_) return std::move(*error_);
   if (report_.kind == Kind::fix) {
     report_.fix.mode = mode_.value_or(std::uint8_t{0});
-    // Before 3.20 gpsd had no other height; since then `alt` is what no two releases agree on.
+    // Before 3.20 gpsd had no other height; since then each release defines `alt` differently.
     if (!report_.fix.alt_msl && !report_.fix.alt_hae) report_.fix.alt_msl = altitude_;
   }
   if (report_.kind == Kind::satellites) {

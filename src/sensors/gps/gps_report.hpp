@@ -24,8 +24,8 @@ struct GpsReport {
   std::string message;                   ///< of an error
 };
 
-/// The line, without its end, as a report. Errors: bad-data, not-a-number, out-of-range, does-not-fit; `report` is of
-/// no use then.
+/// The line, without its end, as a report. Errors: bad-data, not-a-number, out-of-range, does-not-fit; `report` is then
+/// not usable.
 Result<void> read_report(std::string_view line, GpsReport& report);
 
 }  // namespace rtdata::detail

@@ -23,9 +23,9 @@ inline constexpr Release this_release{"0.1.0", std::chrono::year{2026} / 11 / 27
 class GpsTimeCheck {
  public:
   enum class Verdict {
-    open,  ///< not five reports in a row that agree, or one that says nothing new
+    open,  ///< fewer than five consecutive reports that agree, or a report with nothing new
     good,
-    other_clock,  ///< the computer's clock is kept right, and differs by more than both admit
+    other_clock,  ///< the computer's clock is synchronised, and differs by more than both accuracies
     other_age,    ///< from before the release, or ten years after it
   };
   /// The program's clock now, and its largest error; no accuracy: the clock is not synchronised.

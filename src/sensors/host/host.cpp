@@ -22,11 +22,11 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_read = "cannot read this computer's counters";
-constexpr const char*
-    not_here = "this machine or its kernel does not have this value; `rtdata types host` lists the values that it has";
-constexpr const char* not_now = "the kernel cannot read it now; `dmesg` may say why";
+constexpr const char* not_here =
+    "choose another `quantity` (`rtdata types host` lists those of this computer): its kernel does not have this one";
+constexpr const char* not_now = "see `dmesg`: the kernel cannot read the value now";
 
-/// A file of /proc that stays open; its buffer grows until the text fits, and then stays.
+/// A file of /proc that stays open; its buffer grows until the text fits.
 class ProcFile {
  public:
   explicit ProcFile(std::string path) : path_(std::move(path)), buffer_(4096) {}
@@ -44,7 +44,7 @@ class ProcFile {
     if (fd_ >= 0) ::close(fd_);
     fd_ = -1;
   }
-  /// Valid until the next read. What is longer than a megabyte is an error.
+  /// Valid until the next read. A text longer than a megabyte is an error.
   Result<std::string_view> read() {
     constexpr std::size_t most = 1 << 20;
     std::size_t size = 0;
@@ -116,7 +116,7 @@ struct CpuDevice {
 /// The files of /sys for one value.
 struct SysFiles {
   std::string value;
-  std::string fault = {};  ///< says whether the value is worth anything; empty: there is none
+  std::string fault = {};  ///< says whether the value is valid; empty: no such file
   std::vector<std::string> alarms = {};
 };
 
@@ -159,7 +159,7 @@ class ReadFiles final : public detail::Transaction {
   std::vector<std::unique_ptr<detail::SysfsFile>> alarms;
 };
 
-/// None: the chip does not tell.
+/// Empty: the chip does not report it.
 std::optional<bool> flag_in(const detail::SysfsFile& file) {
   if (file.error_number() != 0) return {};
   const Result<std::int64_t> number = detail::parse_number(file.text());
@@ -190,7 +190,7 @@ class SysDevice final : public detail::LaneDevice {
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
     const auto& read = static_cast<ReadFiles&>(transaction);
-    // A sensor that is broken may have a value all the same, or an error of that.
+    // A broken sensor may nevertheless have a value, or give an error for it.
     if (read.fault != nullptr && flag_in(*read.fault).value_or(false)) {
       return port.fail({Errc::bad_data, cannot_read, read.fault->path(), "the chip reports a fault of its sensor",
                         "check the sensor and its wires"});
@@ -281,8 +281,9 @@ Result<SysFiles> find_input(const HostConfig& config) {
     const auto inputs = zones.empty() ? detail::hwmon_inputs(config.root, "temp") : std::vector<detail::HwmonInput>{};
     if (zones.empty() && inputs.empty()) {
       return Error{Errc::not_found, "cannot read a temperature",
-                   config.root + "/sys/class/thermal, " + config.root + "/sys/class/hwmon", "this machine shows none",
-                   "virtual machines have none; load the driver of the chip (`sensors-detect`)"};
+                   config.root + "/sys/class/thermal, " + config.root + "/sys/class/hwmon",
+                   "this computer has no thermometer",
+                   "load the driver of the chip (`sensors-detect` finds it); virtual machines have no thermometer"};
     }
     device = zones.empty() ? inputs.front().device : zones.front().device;
   }
@@ -312,7 +313,7 @@ Reading<HostProcess> process_times(std::string_view schedstat) {
   return process;
 }
 
-constexpr const char* no_device = "it does not say which device";
+constexpr const char* no_device = "`device` is missing";
 
 /// The properties of a quantity.
 struct Quantity {
@@ -326,7 +327,7 @@ struct Quantity {
   const char* device_advice = nullptr;  // null: it needs no device
 };
 
-/// `parse` is given the text of the file and, if it wants, the device.
+/// `parse` gets the text of the file and, if it has this parameter, the device.
 template <class T, auto parse>
 detail::Node* make_proc(const Quantity& self, Loop& loop, SensorConfig sensor, const HostConfig& config) {
   const auto read = [device = config.device](std::string_view text) -> Reading<T> {
@@ -358,7 +359,7 @@ detail::Node* make_hwmon(const Quantity& self, Loop& loop, SensorConfig sensor, 
       loop, std::move(sensor), config, [config] { return find_input(config); }, hwmon_kind(self.what).factor);
 }
 
-/// The folder of its chip, as far as the configuration names it: a lane is asked for before anything is looked up.
+/// The folder of its chip, as far as the configuration names it: the lane is chosen before the search.
 std::string place_of_input(const HostConfig& config) {
   const std::string of_class = config.root + "/sys/class/";
   if (config.device.starts_with("thermal_zone")) return of_class + "thermal/" + config.device + "/temp";
@@ -415,7 +416,7 @@ void check_config(const HostConfig& config, const ConfigItem& item, Problems& pr
 ReadTime read_time(const HostConfig& config) {
   const Quantity& one = quantity(config.quantity);
   if (one.proc_file != nullptr) return {.on_loop = one.on_loop};
-  // A processor that is asked for its frequency may sleep meanwhile, and a chip behind a slow bus be waited for.
+  // Reading the frequency of a sleeping processor, or a chip behind a slow bus, may take time.
   return {.on_loop = detail::lane_read_on_loop,
           .on_lane = std::chrono::milliseconds{10},
           .lane = detail::physical_device_of(one.sys_file(config))};

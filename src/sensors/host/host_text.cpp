@@ -7,7 +7,7 @@
 namespace rtdata::detail {
 namespace {
 
-/// Takes words and lines off the front of a text.
+/// Removes words and lines from the front of a text.
 class Words {
  public:
   explicit Words(std::string_view text) : rest_(text) {}
@@ -18,7 +18,7 @@ class Words {
     rest_.remove_prefix(word.size());
     return word;
   }
-  /// The rest of the line under way, without its end.
+  /// The rest of the current line, without its end.
   std::string_view line() noexcept {
     const std::string_view line = rest_.substr(0, rest_.find('\n'));
     rest_.remove_prefix(std::min(line.size() + 1, rest_.size()));
@@ -30,7 +30,7 @@ class Words {
     const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);
     return status == std::errc{} && end == text.data() + text.size();
   }
-  /// Numbers, each of which must be there.
+  /// Numbers, all of which must exist.
   template <class... T>
   bool numbers(T&... out) noexcept {
     return (number(out) && ...);
@@ -43,12 +43,12 @@ class Words {
 
 Error bad(const char* file) {
   return {Errc::bad_data, "cannot read this computer's counters", file, "its text is not as expected",
-          "report to the project which kernel this is"};
+          "report the version of this kernel to the project"};
 }
 Error missing(const char* file, std::string_view device) {
   return {Errc::not_found, "cannot read this computer's counters", file,
-          "there is no \"" + std::string(device) + "\" in it",
-          "check `device`; `rtdata types host` lists what there is"};
+          "it does not contain \"" + std::string(device) + "\"",
+          "check `device`; `rtdata types host` lists the devices"};
 }
 
 }  // namespace
@@ -186,7 +186,7 @@ Result<std::int64_t> parse_number(std::string_view text) {
   const std::string_view word = trimmed(text);
   const auto [end, status] = std::from_chars(word.data(), word.data() + word.size(), number);
   if (status != std::errc{} || end != word.data() + word.size()) {
-    return Error{Errc::not_a_number, "cannot read a file of /sys", "", "it does not hold one whole number", ""};
+    return Error{Errc::not_a_number, "cannot read a file of /sys", "", "it does not contain one whole number", ""};
   }
   return number;
 }

@@ -59,7 +59,7 @@ std::vector<Chip> chips(const std::string& root) {
   return found;
 }
 
-/// "temp1" of "temp1_input", when it begins with `prefix` and a number follows. A power may have a mean only.
+/// "temp1" of "temp1_input", when it begins with `prefix` and a number follows. A power may have only a mean.
 std::string input_of(const std::string& file, std::string_view prefix, const std::vector<std::string>& files) {
   for (const std::string_view end : {std::string_view("_input"), std::string_view("_average")}) {
     if (!file.starts_with(prefix) || !file.ends_with(end)) continue;
@@ -74,7 +74,7 @@ std::string input_of(const std::string& file, std::string_view prefix, const std
   return {};
 }
 
-/// An input, with all by which it may be called.
+/// An input, with all its possible names.
 struct Candidate {
   HwmonInput input;
   std::vector<std::string> chip_names;
@@ -140,8 +140,8 @@ Result<HwmonInput> find_hwmon(const std::string& root, std::string_view prefix, 
   const std::string where = root + "/sys/class/hwmon" + (device.empty() ? "" : ": " + device);
   if (found.empty()) {
     return Error{Errc::not_found, cannot_read_hwmon, where,
-                 all.empty() ? "this machine shows none" : "there are " + all,
-                 "load the driver of the chip (`sensors-detect`); `rtdata scan` lists what there is"};
+                 all.empty() ? "this machine has no hwmon sensors" : "available: " + all,
+                 "load the driver of the chip (`sensors-detect` finds it); `rtdata scan` lists the sensors"};
   }
   return Error{Errc::bad_argument, cannot_read_hwmon, where, "there are several: " + alike,
                "set `device` to one of them"};

@@ -12,7 +12,7 @@ namespace rtdata::detail {
 
 struct HwmonInput {
   std::string device;                    ///< "coretemp/temp2": as HostConfig names it
-  std::string name;                      ///< for people: "coretemp Core 0"
+  std::string name;                      ///< for display: "coretemp Core 0"
   std::string value;                     ///< the file
   std::string fault = {};                ///< the file; empty: there is none
   std::vector<std::string> alarms = {};  ///< the files

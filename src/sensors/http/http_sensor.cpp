@@ -61,7 +61,7 @@ const char* name_of(LineFormat format) {
   return format == LineFormat::json ? "JSON" : format == LineFormat::csv ? "CSV" : "rows of labels";
 }
 
-/// What it is instead, if it is a page for people or the like.
+/// The format of an unexpected answer, such as a page for browsers.
 const char* other_format(std::string_view answer) {
   const std::string begin = detail::lower_case(
       answer.substr(std::min(answer.find_first_not_of(" \t\r\n"), answer.size()), 15));
@@ -72,24 +72,24 @@ const char* other_format(std::string_view answer) {
 const char* advice_on_status(long status) {
   switch (status) {
     case 401:
-      return "give the right `user` and `password`, or `bearer`; some devices want `digest`";
+      return "set the right `user` and `password`, or `bearer`; some devices need `digest`";
     case 403:
-      return "the server does not permit reading this: have it permitted, or use another user or token";
+      return "ask for the permission to read this URL, or use another user or token";
     case 404:
     case 410:
-      return "there is nothing at this URL: correct `url`";
+      return "correct `url`: the server has nothing there";
     case 405:
-      return "the server wants another method at this URL: correct `method` or `url`";
+      return "correct `method` or `url`: the server needs another method there";
     case 407:
-      return "the proxy needs a user: give `proxy_user` and `proxy_password`";
+      return "set `proxy_user` and `proxy_password`: the proxy needs a user";
     case 429:
-      return "the server wants fewer requests: set a smaller `rate`";
+      return "set a smaller `rate`: the server asks for fewer requests";
     default:
       return status >= 500 ? "see the log of the server or device" : "check `url` and `method`";
   }
 }
 
-/// Asks once, and decodes the answer. All but the constructor is on the lane.
+/// Sends one request and decodes the answer. Everything except the constructor runs on the lane.
 class HttpRequest final : public detail::Transaction {
  public:
   enum class Ended { value, unchanged, left_out, unreadable, failed };
@@ -109,7 +109,7 @@ class HttpRequest final : public detail::Transaction {
       ended_ = Ended::failed;
       ask();
     } catch (...) {
-      error_.reset();  // no memory: told as such
+      error_.reset();  // no memory: reported as such
     }
   }
   void close() noexcept override {
@@ -124,7 +124,7 @@ class HttpRequest final : public detail::Transaction {
   // ---- on the loop, when it has run
   Ended ended() const noexcept { return ended_; }
   std::byte* payload() noexcept { return decoder_.payload(); }
-  /// Its value was published: the same answer need not come again.
+  /// Its value was published: the server need not send the same answer again.
   void keep_etag() {
     if (config_.method == HttpAskMethod::get) etag_ = new_etag_;
   }
@@ -180,7 +180,7 @@ class HttpRequest final : public detail::Transaction {
     if (status != 200) return fail(error_of_status(status));
     if (is_too_long)
       return cannot_be_read(Errc::does_not_fit, "it is longer than " + std::to_string(config_.max_answer) + " bytes",
-                            "`max_answer` sets how long it may be");
+                            "set a larger `max_answer`, or check `url`");
     take(answer_.text);
   }
 
@@ -202,7 +202,7 @@ class HttpRequest final : public detail::Transaction {
     }
     if (has_lines) return leave_out(answer);
     cannot_be_read(Errc::bad_data, config_.skip_lines > 0 ? "there is no line after `skip_lines`" : "it is empty",
-                   "does `url` lead to the data?");
+                   "check that `url` leads to the data");
   }
   void leave_out(std::string_view answer) {
     if (is_other_format(answer)) return;
@@ -220,12 +220,12 @@ class HttpRequest final : public detail::Transaction {
                    answer.empty() ? "it is empty" : (error.where.empty() ? "" : error.where + ": ") + error.why,
                    error.advice.empty() ? "check `url` and `fields`" : error.advice);
   }
-  /// True: it has been told.
+  /// True: it was reported.
   bool is_other_format(std::string_view answer) {
     const char* const other = config_.format == LineFormat::pattern ? nullptr : other_format(answer);
     if (other == nullptr) return false;
     cannot_be_read(Errc::bad_data, std::string("the answer is ") + other + ", not " + name_of(config_.format),
-                   "a page for people, such as a login, is HTML: does `url` lead to the data?");
+                   "check that `url` leads to the data: HTML is a page for browsers, such as a login");
     return true;
   }
 
@@ -244,9 +244,9 @@ class HttpRequest final : public detail::Transaction {
     Error error{judgement.why.code, cannot_ask, url_.origin, std::move(judgement.why.why), advice_on_status(status)};
     if (judgement.verdict == detail::HttpVerdict::taken) {
       error.code = Errc::bad_data;
-      error.why = "the server answers " + std::to_string(status) + ", and an answer with data has status 200";
+      error.why = "the server answers " + std::to_string(status) + ", but an answer with data must have status 200";
     }
-    if (status == 304) error.advice = "it was not asked whether anything has changed: the server is wrong";
+    if (status == 304) error.advice = "the request did not ask for changes only: this is an error of the server";
     if (status >= 300 && status < 400 && status != 304) error.advice = advice_on_redirection();
     return error;
   }
@@ -254,9 +254,9 @@ class HttpRequest final : public detail::Transaction {
     const char* to = nullptr;
     curl_easy_getinfo(easy_, CURLINFO_REDIRECT_URL, &to);
     const auto url = detail::parse_http_url(to != nullptr ? to : "");
-    if (!url) return "the server gives no new address: check `url`";
-    if (url->origin == url_.origin) return "the server wants another path: correct `url` (`curl -i` shows where)";
-    return "the server leads to " + url->origin + ": if that is right, write it into `url`";
+    if (!url) return "check `url`: the server gives no new address";
+    if (url->origin == url_.origin) return "correct `url`: the server redirects to another path (`curl -i` shows it)";
+    return "the server redirects to " + url->origin + ": if that is right, write it into `url`";
   }
   Error error_of(CURLcode result) const {
     const detail::HttpFailure failure = detail::failure_of(easy_, result, error_text_);
@@ -344,7 +344,7 @@ class HttpDevice final : public detail::LaneDevice {
     return {Errc::timed_out, cannot_ask, origin_,
             "it took longer than " + to_string(config_.timeout) +
                 ": the name servers do not answer, or the machine is too busy",
-            "an address needs no looking up"};
+            "check the host name, or use an IP address"};
   }
   std::uint64_t stopped(MonotonicTime) override {
     if (const auto request = current_.lock()) request->abandon();

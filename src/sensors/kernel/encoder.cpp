@@ -22,7 +22,7 @@ constexpr const char* cannot_read_counter = "cannot read the counter";
 constexpr const char* counter_advice = "`rtdata scan` lists the counters; a driver makes them: `dmesg`, docs/iio.md";
 constexpr std::string_view counter_folder = "/sys/bus/counter/devices";
 
-/// The number behind the prefix: 3 of "counter3"; none for anything else.
+/// The number after the prefix: 3 for "counter3". Empty for anything else.
 std::optional<unsigned> number_behind(std::string_view prefix, std::string_view name) {
   unsigned number = 0;
   if (!name.starts_with(prefix) || detail::read_number(name.substr(prefix.size()), number) != std::errc{}) return {};
@@ -39,7 +39,7 @@ std::vector<std::string> numbered(const std::string& in, std::string_view prefix
   return names;
 }
 
-/// Empty: there is none, or it cannot be read.
+/// Empty: it does not exist or cannot be read.
 std::string text_of(const std::string& path) {
   auto text = detail::read_kernel_file(path, cannot_read_counter);
   return text ? std::move(*text) : "";
@@ -57,15 +57,16 @@ Result<std::string> find_one(const std::string& in, std::string_view prefix, con
   }
   if (found.size() == 1) return in + "/" + found.front();
   const std::string where = which.empty() ? in : in + ": " + which;
-  if (all.empty()) return Error{Errc::not_found, cannot_read_counter, where, "this machine has none", counter_advice};
-  if (found.empty()) return Error{Errc::not_found, cannot_read_counter, where, "there are " + all, counter_advice};
+  if (all.empty())
+    return Error{Errc::not_found, cannot_read_counter, where, "this machine has no counter", counter_advice};
+  if (found.empty()) return Error{Errc::not_found, cannot_read_counter, where, "available: " + all, counter_advice};
   return Error{Errc::bad_argument, cannot_read_counter, where, "there are several: " + all,
                std::string("set `") + parameter + "` to the number of one"};
 }
 
-/// What opening has found.
+/// The result of opening.
 struct FoundCounter {
-  std::string folder = {};  ///< of the count
+  std::string folder = {};  ///< where the count is
   bool has_direction = false;
   CountTracker tracker = {};
   std::optional<std::uint64_t> ceiling = {};
@@ -98,7 +99,7 @@ Result<void> choose_function(const std::string& in, const std::string& function)
   if (!found) {
     return Error{Errc::bad_argument, "cannot set the signals to count", file,
                  "the driver has no function \"" + function + "\"" + (available.empty() ? "" : "; it has " + available),
-                 "set `function` to one of the driver's"};
+                 "set `function` to one of these"};
   }
   auto written = detail::write_kernel_file(file, function, "cannot set the signals to count");
   if (written) return {};
@@ -133,7 +134,7 @@ Result<FoundCounter> find(const EncoderConfig& config) {
   if (range == 0 && detail::read_number(std::string_view(text_of(found.folder + "/ceiling")), ceiling) == std::errc{} &&
       ceiling > 0) {
     found.ceiling = ceiling;
-    range = ceiling + 1;  // 0, which is not known, for one of 64 bits, which never wraps around
+    range = ceiling + 1;  // 0 (not known) for a counter of 64 bits, which never wraps around
   }
   found.tracker = CountTracker(way, range);
   return found;
@@ -142,7 +143,9 @@ Result<FoundCounter> find(const EncoderConfig& config) {
 class FindCounter final : public detail::Transaction {
  public:
   explicit FindCounter(EncoderConfig config) : config_(std::move(config)) {}
-  void transact() noexcept override try { found = find(config_); } catch (...) {  // so short that it needs no memory
+  void transact() noexcept override try {
+    found = find(config_);
+  } catch (...) {  // the text is short enough to need no memory
     found = Error{Errc::io_failed, "no memory", "", "", ""};
   }
   Result<FoundCounter> found = FoundCounter{};
@@ -209,15 +212,15 @@ class EncoderDevice final : public detail::LaneDevice {
     }
     if (found_.ceiling && raw > *found_.ceiling) {
       return port.fail({Errc::out_of_range, cannot_read_counter, found_.folder,
-                        "its count " + std::to_string(raw) + " is above the ceiling of when it was opened, " +
+                        "its count " + std::to_string(raw) + " is above the ceiling at its opening, " +
                             std::to_string(*found_.ceiling),
-                        "another program has set another ceiling: it is opened again"});
+                        "find the program that changed the ceiling; the counter is opened again"});
     }
     const std::int64_t before = found_.tracker.count();
     if (!found_.tracker.take(raw)) {
       return port.fail({Errc::bad_data, cannot_read_counter, found_.folder,
                         "its count has gone back from " + std::to_string(before) + " to " + std::to_string(raw),
-                        "another program has set it, or it wraps around: then set `bits`"});
+                        "set `bits` if it wraps around; otherwise find the program that set it"});
     }
     reading.count = found_.tracker.count();
     reading.position = static_cast<double>(reading.count) * config_.per_count;
@@ -251,7 +254,7 @@ void CountTracker::begin(std::uint64_t raw) noexcept {
 }
 
 bool CountTracker::take(std::uint64_t raw) noexcept {
-  // A number of 32 bits with a sign, of which the kernel makes one of 64 bits without.
+  // A signed number of 32 bits, which the kernel turns into an unsigned number of 64 bits.
   constexpr std::uint64_t signs = 0xffff'ffff'8000'0000;
   const bool has_signs = (raw & signs) == signs;
   if (range_ == 0 && has_signs && way_ != Way::both) range_ = std::uint64_t{1} << 32;
@@ -298,10 +301,10 @@ EncoderSensor::EncoderSensor(Loop& loop, SensorConfig sensor, EncoderConfig conf
   const auto refuse = [&](const char* why, const char* advice) {
     throw SetupError({Errc::bad_argument, "cannot use this counter", "sensor " + sensor.name, why, advice});
   };
-  if (!std::isfinite(config.per_count) || config.per_count == 0) refuse("per_count is 0 or no number", "such as 1");
+  if (!std::isfinite(config.per_count) || config.per_count == 0) refuse("per_count is 0 or not a number", "such as 1");
   if (config.per != "s" && config.per != "min" && config.per != "h")
-    refuse("`per` is not a unit of time", "s, min or h");
-  if (config.bits > 63) refuse("`bits` is more than 63", "such as 16");
+    refuse("`per` is not a unit of time", "use s, min or h");
+  if (config.bits > 63) refuse("`bits` is larger than 63", "such as 16");
   auto type = detail::described_type(encoder_description(config).or_throw());
   *this = EncoderSensor(detail::make_sensor(loop, std::move(sensor), std::move(type),
                                             std::make_unique<EncoderDevice>(std::move(config))));

@@ -22,7 +22,7 @@ std::string field_of(std::string channel) {
   return channel;
 }
 
-/// What is wrong with a channel; empty: nothing.
+/// What is wrong with a channel. Empty: nothing.
 std::string mistake_in(const std::string& channel, std::string& nearest) {
   if (iio_quantity(channel) != nullptr) return {};
   std::vector<std::string> known;
@@ -32,14 +32,14 @@ std::string mistake_in(const std::string& channel, std::string& nearest) {
   if (!nearest.empty()) nearest += channel.substr(end);
   if (iio_quantity(nearest) == nullptr) nearest.clear();
   return "\"" + channel +
-         "\" is not a channel: a type of the kernel's, and an index or axis, such as voltage0 or accel_x";
+         "\" is not a channel: write a type of the kernel and an index or axis, such as voltage0 or accel_x";
 }
 
 void check_channels(const std::vector<std::string>& channels, const ConfigItem& item, Problems& problems) {
   const ConfigItem* list = item.find("channels");
   const ConfigItem& at = list != nullptr ? *list : item;
   bool is_good = !channels.empty();
-  if (!is_good) problems.add(at.problem("bad-value", "it has no channels; such as [\"voltage0\"]"));
+  if (!is_good) problems.add(at.problem("bad-value", "it has no channels: list them, such as [\"voltage0\"]"));
   for (const std::string& channel : channels) {
     std::string nearest;
     const std::string mistake = mistake_in(channel, nearest);
@@ -52,9 +52,9 @@ void check_channels(const std::vector<std::string>& channels, const ConfigItem& 
     problems.add(at.problem("bad-value", description.error().why));
 }
 
-/// What opening has found.
+/// The result of opening.
 struct Plan {
-  std::string device;  ///< for people
+  std::string device;  ///< for messages
   std::string node;
   std::vector<std::string> files;
   std::vector<IioConversion> conversions;
@@ -69,7 +69,7 @@ Result<Plan> find(const IioConfig& config) {
     if (!channel) return channel.error();
     if (!channel->is_readable) {
       return Error{Errc::not_found, cannot_read_iio, device->text(), "channel " + name + " is in its buffer only",
-                   "type \"iio_buffer\" reads that"};
+                   "use the type \"iio_buffer\""};
     }
     const auto conversion = device->conversion(*channel);
     if (!conversion) return conversion.error();
@@ -82,7 +82,7 @@ Result<Plan> find(const IioConfig& config) {
 class FindDevice final : public detail::Transaction {
  public:
   explicit FindDevice(IioConfig config) : config_(std::move(config)) {}
-  void transact() noexcept override try { plan = find(config_); } catch (...) {  // so short that it needs no memory
+  void transact() noexcept override try { plan = find(config_); } catch (...) {  // the text needs no memory
     plan = Error{Errc::io_failed, "no memory", "", "", ""};
   }
   Result<Plan> plan = Plan{};
@@ -110,11 +110,11 @@ class ReadChannels final : public detail::Transaction {
     for (const auto& file : files) file->close();
   }
   std::vector<std::unique_ptr<detail::SysfsFile>> files;
-  std::size_t failed = 0;  ///< the index of that one; as many as there are: none
+  std::size_t failed = 0;  ///< the index of that channel; the number of channels: every channel was read
   std::string holder;
 
  private:
-  void name_holder() noexcept try { holder = detail::holder_of(node_); } catch (...) {  // nobody is named
+  void name_holder() noexcept try { holder = detail::holder_of(node_); } catch (...) {  // then no name
   }
   const std::string node_;
 };
@@ -171,9 +171,9 @@ class IioPolled final : public detail::LaneDevice {
   Error failure(const detail::SysfsFile& file, const std::string& holder) const {
     if (file.error_number() == EBUSY) {
       return {Errc::busy, cannot_read_iio, plan_.device,
-              holder.empty() ? "its buffer is on: another program has it" : holder + " has its buffer",
-              holder == detail::this_program ? "list these channels in the sensor that takes its buffer"
-                                             : "end that, or take the data from the buffer: type \"iio_buffer\""};
+              holder.empty() ? "another program uses its buffer" : holder + " uses its buffer",
+              holder == detail::this_program ? "list these channels in the sensor that reads its buffer"
+                                             : "end that program, or read the buffer with the type \"iio_buffer\""};
     }
     if (file.error_number() == ENODEV) {
       return {Errc::disconnected, cannot_read_iio, plan_.device, "the device has disappeared",
@@ -196,13 +196,14 @@ void detail::check_iio(const std::string& device, const std::vector<std::string>
   const auto refuse = [&](std::string why, const char* advice) {
     throw SetupError({Errc::bad_argument, cannot_use, "sensor " + name, std::move(why), advice});
   };
-  if (device.empty()) refuse("it has no device", "such as bmp280; `rtdata scan` lists them");
+  if (device.empty()) refuse("it has no device", "set it, such as bmp280; `rtdata scan` lists the devices");
   (void)iio_description(channels).or_throw();
 }
 
 Result<std::shared_ptr<const Description>> iio_description(const std::vector<std::string>& channels) {
   const auto refused = [](std::string why) {
-    return Error{Errc::bad_argument, cannot_use, "channels", std::move(why), "`rtdata scan` lists a device's"};
+    return Error{Errc::bad_argument, cannot_use, "channels", std::move(why),
+                 "choose channels that `rtdata scan` lists for the device"};
   };
   if (channels.empty()) return refused("it has no channels");
   DescriptionBuilder builder("iio");
@@ -229,7 +230,7 @@ void check_config(const IioBufferConfig& config, const ConfigItem& item, Problem
   const ConfigItem* watermark = item.find("watermark");
   problems.add((watermark != nullptr ? *watermark : item)
                    .problem("bad-value", "the buffer holds " + std::to_string(config.length) +
-                                             " scans, and never as many as the watermark; make `length` longer"));
+                                             " scans, fewer than the watermark: set a larger `length`"));
 }
 
 ReadTime read_time(const IioConfig& config) {

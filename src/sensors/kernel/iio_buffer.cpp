@@ -17,7 +17,7 @@ namespace detail {
 namespace {
 
 constexpr const char* cannot_open = "cannot use the IIO buffer";
-// Published in one turn, so that they stay below the capacity of a topic's ring.
+// The most scans published in one turn: fewer than the capacity of a topic's ring.
 constexpr std::size_t most_at_once = 512;
 // Kernels up to at least 6.1 do not wake a reader when a device is removed.
 constexpr Duration look_again = std::chrono::milliseconds{500};
@@ -35,7 +35,7 @@ class IioOpening final : public LaneJob {
     if (state_.load() == unwanted) return;
     try {
       open();
-    } catch (...) {  // so short that it needs no memory
+    } catch (...) {  // the text is short enough to need no memory
       error = Error{Errc::io_failed, "no memory", "", "", ""};
     }
     if (state_.exchange(finished) == unwanted) capture = nullptr;
@@ -43,7 +43,7 @@ class IioOpening final : public LaneJob {
   void done(Outcome outcome) override {
     if (const auto done = std::exchange(done_, nullptr)) done(*this, outcome);
   }
-  /// Returns what is to be closed. `done` is nobody's any more.
+  /// Returns what must be closed. `done` is not called any more.
   std::shared_ptr<IioCapture> cancel() noexcept {
     done_ = nullptr;
     return state_.exchange(unwanted) == finished ? std::move(capture) : nullptr;
@@ -233,12 +233,12 @@ class IioBufferNode final : public StreamNode {
 
   void on_ready(bool hung_up) {
     Call call(*this);
-    if (at_ < end_) return;  // some are left of the last read
+    if (at_ < end_) return;  // some scans of the last read are not published yet
     const auto got = capture_->read(bytes_);
     if (!got) return lose(got.error(), loop()->now());
     if (*got == 0) {
       if (hung_up)
-        lose({Errc::disconnected, "lost the IIO device", config_.device, "it has gone away", ""}, loop()->now());
+        lose({Errc::disconnected, "lost the IIO device", config_.device, "the device is gone", ""}, loop()->now());
       return;
     }
     const std::size_t size = capture_->layout().size();
@@ -288,7 +288,7 @@ class IioBufferNode final : public StreamNode {
     succeed();
   }
 
-  /// By the device's clock if it can be, else by the read.
+  /// By the device's clock if possible, otherwise by the time of the read.
   MonotonicTime time_of(const std::byte* scan, bool& is_odd) noexcept {
     if (capture_->layout().has_timestamp()) {
       const std::int64_t stamp = capture_->layout().timestamp(scan);
@@ -317,19 +317,20 @@ class IioBufferNode final : public StreamNode {
   }
   void report_missing(bool is_dropped) {
     const std::string many = missing_ > 0 ? "about " + std::to_string(missing_) + " by their times"
-                                          : std::string("how many is not known");
+                                          : std::string("their number is unknown");
     degrade({Errc::backlog, "scans are missing", config_.device,
-             is_dropped ? "the buffer was full: " + many : many + ": the trigger or the driver left them out",
-             is_dropped ? "make `length` longer, or find out what held the loop" : "lower its rate, or check its bus"});
+             is_dropped ? "the buffer was full: " + many : many + ": the trigger or the driver skipped them",
+             is_dropped ? "set a larger `length`, or find out what held the loop"
+                        : "set a lower rate, or check the bus of the device"});
   }
   void report_odd_time() {
     degrade({Errc::bad_data, "the times of scans are not used", config_.device,
-             has_clock_ ? "by the device's clock, a scan was taken " + to_string(odd_) + " away from when it came"
+             has_clock_ ? "the device clock and the arrival time of a scan differ by " + to_string(odd_)
                         : "the device uses the clock " + capture_->clock(),
              "the times of the reads are used instead"});
   }
 
-  /// A device that was taken away may wake nobody.
+  /// Removing the device may not wake the reader.
   void look() {
     Call call(*this);
     look_.start(look_again);
@@ -338,40 +339,40 @@ class IioBufferNode final : public StreamNode {
 
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", config_.device, "no scan for " + to_string(config_.silence),
-            "check whether its trigger fires; `silence` sets how long it may be silent"};
+            "check whether its trigger fires; `silence` is how long it may be silent"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();
     rest_.close();
     look_.close();
     for (const auto& capture : unclosed_) capture->abandon();  // the driver of the device hangs
-    if (loop()->is_being_set_up()) wait_for_closing();         // a program that ends leaves no buffer on
+    if (loop()->is_being_set_up()) wait_for_closing();         // the program must not end with an enabled buffer
   }
 
   const IioBufferConfig config_;
   Timer rest_;  // of scans that were read and not published yet
   Timer look_;
   std::shared_ptr<IioOpening> opening_;
-  std::optional<Error>* refusal_ = nullptr;  // while a required one starts: where its failure goes
+  std::optional<Error>* refusal_ = nullptr;  // while a required sensor starts: receives its error
   MonotonicTime began_{};                    // the attempt to open it
   std::shared_ptr<IioCapture> capture_;
   std::vector<std::shared_ptr<IioCapture>> unclosed_;
   std::shared_ptr<IioClosing> closing_;  // the last one
   FdWatch watch_;
   std::vector<std::byte> bytes_;
-  std::size_t at_ = 0, end_ = 0;    // of the scans in it that are not published yet
+  std::size_t at_ = 0, end_ = 0;    // the scans in it that are not published yet
   std::vector<double> values_;      // of one scan: the payload
   Duration interval_{0};            // between two scans; 0: not known
   Duration ahead_{0};               // time of day minus monotonic clock, at the last read
   MonotonicTime turned_on_{};       // no time is earlier
   MonotonicTime last_{};            // of the last scan
   MonotonicTime last_published_{};  // the same, as it was published
-  std::uint64_t missing_ = 0;       // scans, as it seems
+  std::uint64_t missing_ = 0;       // estimated number of scans
   bool is_full_ = false;            // the buffer was, at the last read
-  bool was_full_ = false;           // the same, when all of that read is published: some may be missing behind it
-  bool has_clock_ = false;          // one that can be put on our line
+  bool was_full_ = false;           // the same once all of that read is published: scans after it may be missing
+  bool has_clock_ = false;          // a clock that can be converted to ours
   bool is_monotonic_ = false;
-  Duration odd_{0};  // how far the last time that cannot be is from the read
+  Duration odd_{0};  // how far the last impossible time is from the read
 };
 
 }  // namespace detail

@@ -8,9 +8,9 @@
 
 namespace rtdata::detail {
 
-/// The lane of a device, by what the configuration calls it.
+/// The lane of a device, found by its name in the configuration.
 std::string iio_lane(const std::string& device, const std::string& root);
-/// SetupError: no device, or channels that are none.
+/// SetupError: no device, or invalid channels.
 void check_iio(const std::string& device, const std::vector<std::string>& channels, const std::string& name);
 
 }  // namespace rtdata::detail

@@ -15,7 +15,7 @@ namespace {
 constexpr const char* cannot_read_pps = "cannot read the pulses";
 constexpr const char*
     find_advice = "`ls /sys/class/pps` lists the sources; an overlay or ldattach makes one (docs/iio.md)";
-constexpr std::string_view no_name = "`device` is a name such as pps0, or /dev/pps0";
+constexpr std::string_view no_name = "`device` must be a name such as pps0, or /dev/pps0";
 constexpr Duration least_wait = std::chrono::milliseconds{2};
 constexpr Duration first_wait = std::chrono::milliseconds{20};
 constexpr Duration longest_wait = std::chrono::milliseconds{100};
@@ -62,7 +62,7 @@ class PpsNode final : public StreamNode {
   Result<PpsStamp> read() {
     file_.read();
     if (file_.error_number() == ENODEV)
-      return Error{Errc::disconnected, cannot_read_pps, file_.path(), "the source has gone away",
+      return Error{Errc::disconnected, cannot_read_pps, file_.path(), "the source is gone",
                    "the program tries to open it again"};
     if (file_.error_number() != 0)
       return system_error(file_.error_number(), cannot_read_pps, file_.path(), find_advice);
@@ -78,7 +78,7 @@ class PpsNode final : public StreamNode {
     next_.stop();
     file_.close();
   }
-  /// The pulse before the opening is not an event: nobody knows whose it is.
+  /// The pulse before the opening is not an event: it may come from another source.
   void take_first(const Result<PpsStamp>& first) {
     if (!first) return lose(first.error(), loop()->now());
     count_ = first->count;
@@ -118,7 +118,7 @@ class PpsNode final : public StreamNode {
     const Time now = loop()->runtime.clock_log.clock().realtime();
     const Duration ago = difference(stamp.time.time_since_epoch(), now.time_since_epoch());
     const MonotonicTime instant = later(looked_, -ago);
-    // The pulse came after the last look and before this one, unless the clock was set in between.
+    // The pulse came between the last read and this read, unless the clock was set in between.
     constexpr Duration noise = std::chrono::milliseconds{1};
     const bool is_known = instant <= later(looked_, noise) && instant >= later(before, -noise);
     const MonotonicTime at = is_known ? std::min(instant, looked_) : looked_;
@@ -156,8 +156,8 @@ class PpsNode final : public StreamNode {
       case PpsTimeCheck::Verdict::not_a_second:
         if (std::exchange(is_reported_, true)) break;
         report({Errc::bad_data, "the pulses cannot give the time of day", file_.path(),
-                "by the machine's clock, they come " + to_string(from_second(time)) + " from the whole second",
-                "set `edge` to the other, or `accuracy` to 0 for pulses that do not begin seconds"});
+                "the pulses are " + to_string(from_second(time)) + " off the full second by the computer's clock",
+                "set `edge` to the other edge, or `accuracy` to 0 if the pulses do not mark full seconds"});
         break;
       case PpsTimeCheck::Verdict::unkept_clock:
       case PpsTimeCheck::Verdict::too_few:
@@ -167,7 +167,7 @@ class PpsNode final : public StreamNode {
 
   Error silence_error() const override {
     return {Errc::timed_out, "nothing comes", file_.path(), "no pulse for " + to_string(config_.silence),
-            "receivers give none before they have a fix; check the wire"};
+            "check the wire, and wait for a fix: receivers give no pulses before it"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();
@@ -176,13 +176,13 @@ class PpsNode final : public StreamNode {
 
   const PpsConfig config_;
   SysfsFile file_;
-  Timer next_;                         // look at the file
+  Timer next_;                         // read of the file
   std::uint32_t count_ = 0;            // of the last pulse
   MonotonicTime looked_{};             // last
-  std::optional<MonotonicTime> last_;  // pulse, if its instant is known
+  std::optional<MonotonicTime> last_;  // pulse, if its time is known
   std::optional<Duration> expected_;   // from one to the next
   PpsTimeCheck check_;
-  bool is_reported_ = false;  // why it is no source of the time
+  bool is_reported_ = false;  // why it cannot be a time source
 };
 
 }  // namespace detail

@@ -24,10 +24,10 @@ Result<PpsStamp> parse_pps(std::string_view text) {
                         read_number(all.substr(hash + 1), count) == std::errc{} && seconds >= 0 && seconds <= most &&
                         count >= INT32_MIN && count <= UINT32_MAX;
   if (!is_stamp) {
-    return Error{
-        Errc::bad_data, "cannot read the pulses", "",
-        all.empty() ? "its driver does not see this edge" : "\"" + std::string(all.substr(0, 40)) + "\" is not a time",
-        all.empty() ? "set `edge` to the other" : "check `device`"};
+    return Error{Errc::bad_data, "cannot read the pulses", "",
+                 all.empty() ? "its driver does not report this edge"
+                             : "\"" + std::string(all.substr(0, 40)) + "\" is not a time",
+                 all.empty() ? "set `edge` to the other edge" : "check `device`"};
   }
   return PpsStamp{Time{std::chrono::seconds{seconds} + Duration{nanoseconds}}, static_cast<std::uint32_t>(count)};
 }
@@ -40,9 +40,9 @@ Duration from_second(Time time) noexcept {
 PpsTimeCheck::Verdict PpsTimeCheck::look_at(MonotonicTime at, Time time, std::optional<Duration> clock_accuracy,
                                             Duration accuracy) noexcept {
   constexpr int enough = 5;
-  const Duration most_unsteady = std::chrono::milliseconds{1} + 2 * accuracy;  // each of two may be off
+  const Duration most_unsteady = std::chrono::milliseconds{1} + 2 * accuracy;  // each of two pulses may be inexact
   constexpr Duration most_unsure = std::chrono::milliseconds{400};
-  // A clock that is set in between is none that says which second it is.
+  // A clock that is set in between cannot tell which second it is.
   const Duration apart = span_between(last_, at);
   const bool is_steady = in_a_row_ > 0 && size_of(apart - second) <= most_unsteady &&
                          size_of(span_between(last_time_, time) - apart) <= most_unsteady;

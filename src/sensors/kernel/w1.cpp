@@ -13,9 +13,9 @@ namespace {
 
 constexpr const char* cannot_read_w1 = "cannot read the thermometer";
 constexpr const char*
-    w1_advice = "`ls /sys/bus/w1/devices` lists those on the bus; the kernel finds new ones within 10 s";
+    w1_advice = "check the bus with `ls /sys/bus/w1/devices`; the kernel finds new thermometers within 10 s";
 constexpr std::string_view w1_folder = "/sys/bus/w1/devices";
-constexpr std::string_view no_path = "`device` is a name such as 28-000000c0ffee, no path";
+constexpr std::string_view no_path = "`device` must be a name such as 28-000000c0ffee, not a path";
 
 bool is_name(const std::string& device) {
   return device.find('/') == std::string::npos && device != ".." && device != ".";
@@ -33,7 +33,7 @@ Result<std::string> file_of(const W1Config& config) {
     const auto all = available_w1(config.root);
     if (all.size() != 1) {
       std::string names;
-      for (const std::string& one : all) names += (names.empty() ? "there are " : ", ") + one;
+      for (const std::string& one : all) names += (names.empty() ? "available: " : ", ") + one;
       return Error{all.empty() ? Errc::not_found : Errc::bad_argument, cannot_read_w1,
                    config.root + std::string(w1_folder), all.empty() ? "there is no thermometer" : names,
                    !all.empty()            ? "set `device`"
@@ -65,7 +65,7 @@ class W1Device final : public detail::LaneDevice {
   ReadTime read_time() const override { return rtdata::read_time(config_); }
   Error given_up_error() const override {
     return {Errc::timed_out, cannot_read_w1, path_, "no answer within " + to_string(config_.timeout),
-            "many on one bus with parasitic power take long; `timeout` sets how long to wait"};
+            "set a longer `timeout` if there are many on one bus with parasitic power; otherwise check the bus"};
   }
   detail::Sampled decode(detail::Transaction& transaction, detail::SamplePort& port) override {
     const detail::SysfsFile& file = static_cast<detail::ReadFile&>(transaction).file;

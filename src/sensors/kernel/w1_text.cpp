@@ -30,7 +30,7 @@ Result<double> parse_w1(std::string_view text) {
   const auto refused = [](Errc code, std::string why, const char* advice) {
     return Error{code, unreadable_w1, "", std::move(why), advice};
   };
-  if (detail::trimmed(text).empty())  // what the driver gives when nobody answers
+  if (detail::trimmed(text).empty())  // what the driver gives when the device does not answer
     return refused(Errc::disconnected, "it does not answer", "check its wires and its pull-up resistor");
   const auto bytes = scratchpad(text);
   const std::size_t equals = text.rfind("t=");
@@ -41,14 +41,15 @@ Result<double> parse_w1(std::string_view text) {
   }
   const std::string_view first = text.substr(0, text.find('\n'));
   if (!detail::trimmed(first).ends_with(" YES")) {
-    return refused(Errc::bad_data, "its checksum is wrong", "check the wires: long ones need a stronger pull-up");
+    return refused(Errc::bad_data, "its checksum is wrong",
+                   "check the wires: long ones need a smaller pull-up resistor");
   }
   if (std::all_of(bytes->begin(), bytes->end(), [](unsigned byte) { return byte == 0; }))
-    return refused(Errc::bad_data, "all bits are 0", "the data line may be shorted to ground");
+    return refused(Errc::bad_data, "all bits are 0", "check whether the data line is shorted to ground");
   constexpr std::int64_t power_on = 85000;
   if (thousandths == power_on && (*bytes)[6] == 0x0c) {
     return refused(Errc::bad_data, "85 degrees is its value before the first measurement",
-                   "it has lost its supply: check its wires");
+                   "check its wires: it has lost its supply");
   }
   if (thousandths < -55000 || thousandths > 125000) {
     return refused(Errc::out_of_range,

@@ -55,13 +55,13 @@ auto number_of_kind(Kind kind) noexcept {
   }
 }
 
-/// Whether so many bits of this kind can be the number.
+/// True if a value of this kind with so many bits can be the number.
 bool can_be(Kind kind, int bits, double number) noexcept {
   if (is_floating(kind)) return true;
   if (!is_integer_kind(kind)) return false;
   const double range = std::ldexp(1.0, bits);  // how many numbers there are
   const double end = is_signed(kind) ? range / 2 : range;
-  // The largest of 64 bits is read as the next one.
+  // The largest number of 64 bits is rounded up to the next double.
   return number == std::trunc(number) && number >= (is_signed(kind) ? -range / 2 : 0) &&
          (number < end || (bits == 64 && number == end));
 }
@@ -78,40 +78,42 @@ BinaryField::BinaryField(const LineField& field, const Leaf* leaf, WireOrder ord
       is_bcd_(field.bcd) {
   const bool has_text_settings = !field.prefix.empty() || !field.suffix.empty() || field.decimal != '.' ||
                                  !field.thousands.empty() || field.sign_blanks || !field.words.empty();
-  if (has_text_settings) refuse_binary(field, "its bytes are no text, but it has settings of one", "leave them out");
+  if (has_text_settings) refuse_binary(field, "its bytes are not text, but it has settings for text", "remove them");
   const bool is_free = is_floating(field.type) || field.type == Kind::boolean;
   if (wire_ != field.type && !is_free)
-    refuse_binary(field, "it has a `wire` of another type", "make its `type` double, or leave `wire` out");
+    refuse_binary(field, "its `wire` differs from its `type`", "set `type` to double, or remove `wire`");
   if (field.type == Kind::boolean && is_floating(wire_))
-    refuse_binary(field, "a bool is no number with decimals", "set another `wire`");
+    refuse_binary(field, "a bool cannot be a number with decimals", "set another `wire`");
   if ((field.bit || field.mask || field.bcd || field.bytes != 0) && !is_integer_kind(wire_))
-    refuse_binary(field, "only a whole number has `bytes`, `bit`, `mask` and `bcd`", "set `wire`, such as \"uint32\"");
-  if (field.bcd && (field.bit || field.mask)) refuse_binary(field, "decimal digits have no bits", "leave `bcd` out");
+    refuse_binary(field, "only a whole number can have `bytes`, `bit`, `mask` or `bcd`",
+                  "set `wire`, such as \"uint32\"");
+  if (field.bcd && (field.bit || field.mask))
+    refuse_binary(field, "`bcd` does not work together with `bit` or `mask`", "remove `bcd`");
   const std::size_t whole = field.type == Kind::text ? field.length : size_of(wire_);
   size_ = field.bytes != 0 ? field.bytes : whole;
-  if (size_ > whole)
-    refuse_binary(field, "it has more `bytes` than its type", "set a longer `wire`, such as \"int32\"");
+  if (size_ > whole) refuse_binary(field, "`bytes` is larger than its type", "set a larger `wire`, such as \"int32\"");
   const std::size_t bits = 8 * size_;
   const std::uint64_t all = bits >= 64 ? ~std::uint64_t{0} : (std::uint64_t{1} << bits) - 1;
-  if (field.bit && field.mask) refuse_binary(field, "there are both `bit` and `mask`", "leave one of them out");
-  if (field.bit && *field.bit >= bits) refuse_binary(field, "`bit` is beyond its bytes", "count from 0, the lowest");
+  if (field.bit && field.mask) refuse_binary(field, "it has both `bit` and `mask`", "remove one of them");
+  if (field.bit && *field.bit >= bits)
+    refuse_binary(field, "`bit` is beyond its bytes", "count the bits from 0, the lowest");
   if (field.mask && (*field.mask == 0 || *field.mask > all))
-    refuse_binary(field, "`mask` has no bit of its bytes, or one beyond them", "set the bits that are meant");
+    refuse_binary(field, "`mask` has no bit within its bytes, or a bit beyond them", "set the bits of the value");
   if (field.bit) mask_ = std::uint64_t{1} << *field.bit;
   if (field.mask) mask_ = *field.mask;
   if (mask_ == 0 && !is_bcd_ && size_ == size_of(wire_))
     whole_ = is_big_ ? number_of_kind<true>(wire_) : number_of_kind<false>(wire_);
   is_plain_ = whole_ != nullptr && field.type == Kind::f64 && field.no_value.empty() && !field.optional;
   if (mask_ != 0 && is_integer_kind(field.type) && is_signed(field.type))
-    refuse_binary(field, "bits of a number have no sign", "make its `type` unsigned, double or bool");
+    refuse_binary(field, "bits of a number have no sign", "set its `type` to an unsigned one, double or bool");
   for (const std::string& none : field.no_value) {
     double number = 0;
     const Kind kind = mask_ != 0 && is_integer_kind(wire_) ? Kind::u64 : wire_;
     const int width = mask_ != 0 ? static_cast<int>(std::bit_width(mask_ >> std::countr_zero(mask_)))
                                  : static_cast<int>(bits);
     if (read_number(none, number) != std::errc{} || !can_be(kind, width, number))
-      refuse_binary(field, "one of `no_value` is no number that its bytes or bits can be",
-                    "write the number before `scale`, and behind `mask`, in decimal digits");
+      refuse_binary(field, "its bytes or bits can never have one of the numbers of `no_value`",
+                    "write the number as it is after `mask` and before `scale`, in decimal digits");
   }
 }
 
@@ -120,7 +122,7 @@ bool BinaryField::takes(std::size_t bytes) const noexcept {
   return is_integer_kind(wire_) ? bytes >= 1 && bytes <= size_of(wire_) && has_bits : bytes == size_;
 }
 
-/// Of an integer; a negative one fills all 64.
+/// The bits of an integer; a negative integer fills all 64.
 std::uint64_t BinaryField::bits_of(std::string_view bytes) const noexcept {
   std::uint64_t bits = 0;
   for (std::size_t i = 0; i < bytes.size(); ++i) {
@@ -154,8 +156,8 @@ const char* BinaryField::put_any(std::string_view bytes, const FieldText& text, 
     *to = static_cast<std::byte>(bytes.front());
   } else {
     const double number = number_of(bytes);
-    if (text.is_used() && text.is_none(number)) return nullptr;  // absent, as it is from the beginning
-    if (is_bcd_ && !has_digits(bytes)) return "its bytes are no decimal digits";
+    if (text.is_used() && text.is_none(number)) return nullptr;  // absent, as at the start
+    if (is_bcd_ && !has_digits(bytes)) return "its bytes are not decimal digits";
     if (leaf_->kind == Kind::f64 || leaf_->kind == Kind::f32) {
       const double value = scale_(number);
       const auto narrow = static_cast<float>(value);

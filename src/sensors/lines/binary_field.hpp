@@ -1,4 +1,4 @@
-// A field of bytes: of a frame by its place, or of the group of a pattern.
+// A field of bytes: at a position in a frame, or in the group of a pattern.
 #pragma once
 
 #include <cmath>
@@ -15,15 +15,15 @@ namespace rtdata::detail {
 /// A value.
 class BinaryField {
  public:
-  /// SetupError (bad-argument): types that do not go together. `order`: of its bytes.
+  /// SetupError (bad-argument): types that cannot be combined. `order`: the order of its bytes.
   BinaryField(const LineField& field, const Leaf* leaf, WireOrder order);
 
   std::size_t at() const noexcept { return at_; }
   std::size_t size() const noexcept { return size_; }
-  /// False: it cannot have so many bytes.
+  /// False: the field cannot have this number of bytes.
   bool takes(std::size_t bytes) const noexcept;
-  /// Puts its value, or that it has none, into the payload. `bytes`: as many as it takes. Null: done; else why not. No
-  /// allocation.
+  /// Writes its value, or the mark of a missing value, to the payload. `bytes`: a number of bytes for which `takes` is
+  /// true. Null: done, otherwise the reason. No allocation.
   const char* put(std::string_view bytes, const FieldText& text, std::byte* payload) const noexcept {
     if (!is_plain_ || bytes.size() != size_) return put_any(bytes, text, payload);
     const double value = scale_(whole_(bytes.data()));

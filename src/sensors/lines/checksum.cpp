@@ -75,15 +75,16 @@ Checksum::Checksum(const LineChecksum& config) : config_(config) {
   if (config.type != Type::sum6 && config.form == Form::character)
     refuse_checksum("only `sum6` is one character", "set `form`");
   if (config.covers_after && config.after.empty())
-    refuse_checksum("there is no `after` to cover", "leave `covers_after` out");
+    refuse_checksum("`covers_after` needs `after`", "set `after`, or remove `covers_after`");
   if (config.optional && config.after.empty())
-    refuse_checksum("without `after` nothing says whether there is one", "set `after`, or leave `optional` out");
+    refuse_checksum("`optional` needs `after`: without it the program cannot tell whether a line has a checksum",
+                    "set `after`, or remove `optional`");
   auto appended = bytes_of_hex(config.append_hex);
-  if (!appended) refuse_checksum("`append_hex` is not bytes", "two hexadecimal digits each, such as \"32\"");
+  if (!appended) refuse_checksum("`append_hex` is not bytes", "write two hexadecimal digits for each, such as \"32\"");
   appended_ = *std::move(appended);
   const bool is_sum = config.type == Type::sum8 || config.type == Type::sum16;
   if (config.complement != Complement::none && !is_sum)
-    refuse_checksum("`complement` is of `sum8` and `sum16`", "leave it out");
+    refuse_checksum("`complement` works only with `sum8` and `sum16`", "remove it");
   if (config.type == Type::sum16 || config.type == Type::fletcher16) bytes_ = 2;
   const auto crc = crc_of(config.type);
   if (!crc) return;
@@ -110,7 +111,7 @@ Checksum::Checksum(const LineChecksum& config) : config_(config) {
       tables_[k][byte] = tables_[k - 1][byte] >> 8 ^ tables_[0][tables_[k - 1][byte] & 0xff];
 }
 
-/// How long it is in the text.
+/// Its length in the text.
 std::size_t Checksum::width() const noexcept { return config_.form == Form::hex ? 2 * bytes_ : bytes_; }
 
 std::uint32_t Checksum::crc(std::string_view of, std::uint32_t value) const noexcept {
@@ -177,7 +178,7 @@ bool Checksum::read(std::string_view written, std::uint32_t& number) const noexc
   return true;
 }
 
-/// Bytes of the checksum itself may be the same.
+/// The bytes of the checksum itself may be equal to `after`.
 std::size_t Checksum::place_of_after(std::string_view text) const noexcept {
   if (config_.form == Form::hex) return text.rfind(config_.after);
   const std::size_t behind = config_.after.size() + width();
@@ -209,7 +210,7 @@ Checksum::Place Checksum::place_in(std::string_view text) const noexcept {
 }
 
 bool Checksum::is_damaged(std::string_view text) const noexcept {
-  if (config_.after.empty()) return false;  // it may be of another kind, which has none
+  if (config_.after.empty()) return false;  // the line may be of another kind, without a checksum
   const Place place = place_in(text);
   return place.end != std::string_view::npos && (!place.is_whole || place.number != place.right);
 }
@@ -220,13 +221,13 @@ Result<std::string_view> Checksum::checked(std::string_view text) const {
     if (config_.optional) return text;
     return wrong_checksum("it has no checksum after \"" + config_.after + "\"");
   }
-  if (!place.is_whole) return wrong_checksum("it has no checksum, or one that is cut off");
+  if (!place.is_whole) return wrong_checksum("its checksum is missing or cut off");
   if (place.number != place.right) {
     const auto shown = [&](std::uint32_t value) {
       char digits[9];
       return std::string(digits, std::to_chars(digits, digits + sizeof digits, value, 16).ptr);
     };
-    return wrong_checksum("its checksum is " + shown(place.number) + ", and should be " + shown(place.right) +
+    return wrong_checksum("its checksum is " + shown(place.number) + ", but should be " + shown(place.right) +
                           " (hexadecimal)");
   }
   return text.substr(0, place.end);

@@ -11,20 +11,20 @@
 
 namespace rtdata::detail {
 
-/// A value; its calls allocate nothing but for an error.
+/// A value. Its calls allocate memory only for an error.
 class Checksum {
  public:
-  /// SetupError (bad-argument): settings that exclude each other.
+  /// SetupError (bad-argument): settings that cannot be combined.
   explicit Checksum(const LineChecksum& config);
 
-  /// The text without its checksum. Errors: bad-data (it is wrong, or there is none).
+  /// The text without its checksum. Errors: bad-data (a wrong checksum or no checksum).
   Result<std::string_view> checked(std::string_view text) const;
-  /// True if it has a checksum behind `after` that is wrong.
+  /// True if the checksum after `after` is wrong.
   bool is_damaged(std::string_view text) const noexcept;
   std::uint32_t of(std::string_view bytes) const noexcept;
 
  private:
-  /// Where it stands in a text, what it is and should be.
+  /// The position of the checksum in a text, its value and the expected value.
   struct Place {
     std::size_t end = 0;      // of what is kept; npos: there is no `after`
     std::size_t covered = 0;  // up to here
@@ -36,7 +36,7 @@ class Checksum {
   std::size_t place_of_after(std::string_view text) const noexcept;
   std::size_t width() const noexcept;
   bool read(std::string_view written, std::uint32_t& number) const noexcept;
-  /// Goes on from `value`.
+  /// Continues from `value`.
   std::uint32_t crc(std::string_view bytes, std::uint32_t value) const noexcept;
 
   const LineChecksum config_;

@@ -21,7 +21,7 @@ namespace detail {
 namespace {
 
 constexpr Duration starting_limit = std::chrono::seconds{5};
-// A program that ends closes its output; both are told within this time.
+// A program that ends also closes its output; both are noticed within this time.
 constexpr Duration ending_limit = std::chrono::milliseconds{200};
 constexpr std::size_t longest_error_line = 500;
 constexpr const char* program_advice = "check the program: `run` it by hand";
@@ -56,11 +56,11 @@ class CommandNode final : public LineNode {
       node->starting_ = nullptr;
       if (outcome == Outcome::finished) return node->started(std::exchange(child_, Child{}));
       node->take(Error{Errc::timed_out, "cannot start the program", run_.front(),
-                       "it did not start in " + to_string(starting_limit), "does its disk answer?"});
+                       "it did not start within " + to_string(starting_limit), "check the disk of the program"});
     }
-    /// The node stops, or is closed.
+    /// The node stops or is closed.
     void forget() noexcept { node_ = nullptr; }
-    /// Also of a program that was started after its time.
+    /// Also ends a program that was started too late.
     ~Starting() override { end(); }
 
    private:
@@ -79,7 +79,7 @@ class CommandNode final : public LineNode {
     if (lane_.submit(job, starting_limit)) return;
     starting_ = nullptr;
     take(Error{Errc::timed_out, "cannot start the program", place(), "no thread is free: earlier attempts still hang",
-               "does its disk answer?"});
+               "check the disk of the program"});
   }
   void started(Result<Child> child) {
     if (!child) return take(std::move(child).error());
@@ -100,7 +100,7 @@ class CommandNode final : public LineNode {
     if (starting_ != nullptr) std::exchange(starting_, nullptr)->forget();
     LineNode::close_stream();
   }
-  /// Ends the program, too.
+  /// Also ends the program.
   void close_source(int) noexcept override {
     over_.stop();
     errors_.close();
@@ -127,12 +127,12 @@ class CommandNode final : public LineNode {
     take_errors();
     say(std::exchange(error_text_, {}));
     std::string why = end_of(child_);
-    if (why.empty()) why = "it has closed its output, and is ended";
+    if (why.empty()) why = "it has closed its output, so it is ended";
     if (!last_error_.empty()) why += "; it said: " + last_error_;
     lose({Errc::disconnected, "lost the program", place(), std::move(why), program_advice}, loop()->now());
   }
 
-  /// What the program says to its standard error goes to the log.
+  /// The program's standard error is written to the log.
   void take_errors() {
     std::array<char, 1024> bytes{};
     const ssize_t got = child_.errors >= 0 ? ::read(child_.errors, bytes.data(), bytes.size()) : 0;
@@ -163,7 +163,7 @@ class CommandNode final : public LineNode {
     loop()->runtime.log(
         LogLevel::warning, object_name(),
         "the program says: " + line +
-            (left_out > 0 ? " (lines before that were left out: " + std::to_string(left_out) + ")" : ""));
+            (left_out > 0 ? " (earlier lines that are not shown: " + std::to_string(left_out) + ")" : ""));
   }
   const std::vector<std::string> run_;
   const bool is_terminal_;
@@ -185,11 +185,11 @@ void check_config(const CommandConfig& config, const ConfigItem& item, Problems&
                                    [](const std::string& word) { return word.find('\0') != std::string::npos; });
   if (has_nul)
     problems.add((item.find("run") != nullptr ? *item.find("run") : item)
-                     .problem("bad-value", "a word has a byte 0, which ends it; leave it out"));
+                     .problem("bad-value", "a word contains a byte 0, which would end it: remove it"));
   if (config.run.empty() || config.run.front().empty()) {
     const ConfigItem* at = item.find("run");
-    problems.add(
-        (at != nullptr ? *at : item).problem("bad-value", "it names no program; such as [\"python3\", \"hx711.py\"]"));
+    problems.add((at != nullptr ? *at : item)
+                     .problem("bad-value", "it names no program: write one, such as [\"python3\", \"hx711.py\"]"));
   }
   check_config(config.lines, item, problems);
 }
@@ -201,7 +201,7 @@ CommandSensor::CommandSensor(Loop& loop, FeedConfig feed, CommandConfig config) 
     throw SetupError({Errc::bad_argument, "cannot use this program", "sensor " + feed.name, why, what_helps});
   };
   if (config.run.empty() || config.run.front().empty())
-    refuse("`run` names no program", "such as {\"python3\", \"x.py\"}");
+    refuse("`run` names no program", "set it, such as {\"python3\", \"x.py\"}");
   detail::check_source(config.lines, feed.name);
   const bool starts = config.lines.start;
   auto* node = new detail::CommandNode(loop.core(), feed, std::move(config));

@@ -14,9 +14,9 @@ namespace {
 constexpr double ns_of_second = 1e9;
 constexpr double first_window = ns_of_second, longest_window = 64 * ns_of_second;
 constexpr double most_slope = 0.01;
-// A line is not that much earlier than the fastest one before, and not that much later.
+// If a line is this much earlier or later than the fastest line before, the clock was set.
 constexpr double most_early = ns_of_second, most_late = 5 * ns_of_second;
-// What the fastest lines of two windows may differ by, whatever the drift: the first windows are short.
+// The allowed difference between the fastest lines of two windows, whatever the drift: the first windows are short.
 constexpr double most_change = 0.25 * ns_of_second;
 constexpr double least_strange = 0.05 * ns_of_second;  // twice in one direction
 
@@ -27,14 +27,15 @@ DeviceClock::DeviceClock(const DeviceTime& config, const Description& descriptio
   const auto refuse = [&](const char* why, const char* advice) {
     throw SetupError(refused_lines("device_time", "\"" + config.field + "\" " + why, advice));
   };
-  if (leaf_ == nullptr) refuse("is not among the fields", "name the field that is the device's clock");
+  if (leaf_ == nullptr) refuse("is not among the fields", "set `field` to the field with the device's clock");
   if (!is_integer_kind(leaf_->kind) && leaf_->kind != Kind::f64)
-    refuse("cannot count", "make its `type` an integer, or double");
-  if (leaf_->optional != nullptr) refuse("is optional", "remove its `optional` and `no_value`: each line has a time");
+    refuse("cannot count", "set its `type` to an integer or double");
+  if (leaf_->optional != nullptr)
+    refuse("is optional", "remove its `optional` and `no_value`: each line must have a time");
   if (leaf_->kind != Kind::f64 && leaf_->size < 8) wraps_at_ = std::ldexp(step_, 8 * static_cast<int>(leaf_->size));
 }
 
-/// From the last line to this one, in ns; negative: it went back.
+/// The time from the last line to this line, in ns. Negative: the clock went back.
 double DeviceClock::step_to(std::uint64_t count, double elapsed) const noexcept {
   if (leaf_->kind == Kind::f64) {
     double now = 0, before = 0;
@@ -71,7 +72,7 @@ void DeviceClock::end_window(double elapsed) noexcept {
     is_useless_ = is_strange && (std::fabs(change) > most_change || sign == strange_);
     strange_ = sign;
   }
-  // Two lines near each other would say more about their ways than about the clocks.
+  // Two lines close together would show their delays rather than the clocks.
   if (last_least_ && least_.device - last_least_->device > window_ / 4) {
     const double slope = (least_.offset - last_least_->offset) / (least_.device - last_least_->device);
     slope_ = std::clamp(slope, -most_slope, most_slope);

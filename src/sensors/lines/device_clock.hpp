@@ -11,25 +11,25 @@
 
 namespace rtdata::detail {
 
-/// Finds our time of each line from the device's: the two differ by an offset, which is the shortest way of a line so
-/// far, and which drifts. The offset is the least difference within a window of 1 s at first and 64 s later; the drift
-/// is its change from window to window, at most 1 %. A clock that differs by more is of no use: the times are those of
-/// the reads from then on.
+/// Finds our time of each line from the device's: the two differ by an offset, found from the line with the shortest
+/// delay so far, and the offset drifts. The offset is the least difference within a window of 1 s at first and 64 s
+/// later; the drift is its change from window to window, at most 1 %. A clock that differs by more cannot be used: from
+/// then on the times are those of the reads.
 class DeviceClock {
  public:
-  /// SetupError (bad-argument): no such field, or one that cannot count.
+  /// SetupError (bad-argument): no such field, or a field that cannot be a counter.
   DeviceClock(const DeviceTime& config, const Description& description);
 
-  /// Our time of a line that was read at `arrival`, never later than that.
+  /// Our time of a line that was read at `arrival`; never later than `arrival`.
   MonotonicTime time_of(const std::byte* payload, MonotonicTime arrival) noexcept;
-  /// The next line is the first.
+  /// Starts again with the next line.
   void forget() noexcept { is_known_ = is_useless_ = is_useless_told_ = false; }
   /// By how much the device's clock is faster than ours, in millionths, once a window of 64 s has ended; set once for
   /// each `forget`.
   std::optional<double> take_drift() noexcept;
-  /// True once after the clock was found to be of no use.
+  /// True once after the clock turned out to be unusable.
   bool take_useless() noexcept;
-  /// True once after the clock went back, or on too far.
+  /// True once after the clock went back or jumped too far ahead.
   bool take_restart() noexcept;
 
  private:

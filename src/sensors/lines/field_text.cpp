@@ -14,8 +14,8 @@
 namespace rtdata::detail {
 namespace {
 
-constexpr std::size_t longest_text = 128;  // of a number with what stands in it
-constexpr const char* wrong_groups = "has its `thousands` not before groups of three digits";
+constexpr std::size_t longest_text = 128;  // of a number with its separators
+constexpr const char* wrong_groups = "has a `thousands` character that is not before a group of three digits";
 
 [[noreturn]] void refuse_field(const LineField& field, std::string why, std::string advice) {
   throw SetupError(
@@ -43,23 +43,24 @@ FieldText::FieldText(const LineField& field)
   if (!field.thousands.empty()) thousands_ = field.thousands.front();
   has_notation_ = decimal_ != '.' || thousands_ != '\0' || base_ != 10 || has_sign_blanks_;
   if (has_notation_ && !is_number_)
-    refuse_field(field, "`decimal`, `thousands`, `base` and `sign_blanks` are of numbers", "leave them out");
+    refuse_field(field, "only numbers have `decimal`, `thousands`, `base` and `sign_blanks`", "remove them");
   if (prefix_.starts_with(' ') || suffix_.ends_with(' '))
-    refuse_field(field, "blanks around the text of a field are taken off: its `prefix` or `suffix` never comes",
-                 "leave that blank out");
-  if (decimal_ != '.' && decimal_ != ',') refuse_field(field, "`decimal` is a point or a comma", "choose one of them");
+    refuse_field(field, "blanks around the text of a field are removed, so its `prefix` or `suffix` never matches",
+                 "remove the blank");
+  if (decimal_ != '.' && decimal_ != ',')
+    refuse_field(field, "`decimal` must be a point or a comma", "choose one of them");
   if (thousands_ == decimal_ || thousands_ == '-' || thousands_ == '+' ||
       (thousands_ != '\0' && std::isalnum(static_cast<unsigned char>(thousands_)) != 0))
     refuse_field(field, "`thousands` has another meaning in a number", "choose another character");
   if (decimal_ != '.' && is_number_ && field.type != Kind::f32 && field.type != Kind::f64)
-    refuse_field(field, "a whole number has no `decimal`", "make its `type` double, or leave `decimal` out");
+    refuse_field(field, "a whole number cannot have `decimal`", "set its `type` to double, or remove `decimal`");
   if (base_ != 10 && (decimal_ != '.' || thousands_ != '\0'))
-    refuse_field(field, "a number of base " + std::to_string(base_) + " has no decimals and no thousands",
-                 "leave `decimal` and `thousands` out");
+    refuse_field(field, "a number of base " + std::to_string(base_) + " cannot have `decimal` or `thousands`",
+                 "remove `decimal` and `thousands`");
   if (!field.words.empty() && field.type == Kind::text)
-    refuse_field(field, "`words` stand for numbers, and this is a text", "set another `type`, or leave `words` out");
+    refuse_field(field, "`words` mean numbers, but this field is a text", "set another `type`, or remove `words`");
   for (const std::string& text : field.no_value) {
-    // Written as the device writes its numbers.
+    // In the device's notation.
     double number = 0;
     std::string_view plain = text;
     const bool is_one = is_number_ && plain_number(plain) == nullptr && read_number(plain, number) == std::errc{};
@@ -69,9 +70,9 @@ FieldText::FieldText(const LineField& field)
   const bool is_whole = is_number_ ? field.type != Kind::f32 && field.type != Kind::f64 : true;
   for (const auto& [word, number] : field.words) {
     if (is_whole && number != std::trunc(number))
-      refuse_field(field, "the number of the word \"" + word + "\" is not whole", "make its `type` double");
+      refuse_field(field, "the number of the word \"" + word + "\" is not a whole number", "set its `type` to double");
     for (const auto& [none, number_of_none] : no_value_)
-      if (none == word) refuse_field(field, "\"" + word + "\" is a word and no value", "remove one of them");
+      if (none == word) refuse_field(field, "\"" + word + "\" is in `words` and in `no_value`", "remove one of them");
     std::array<char, longest_number> text{};
     words_.emplace_back(word, std::string(text.data(), put_number(text.data(), number)));
   }
@@ -93,7 +94,7 @@ FieldText::Found FieldText::read(std::string_view text) {
   return {.text = text};
 }
 
-/// A word, or one that stands for no value, which devices send with or without prefix and suffix.
+/// One of `words` or of `no_value`, which devices send with or without prefix and suffix.
 std::optional<FieldText::Found> FieldText::known_text(std::string_view text) const noexcept {
   for (const auto& [none, number] : no_value_)
     if (none == text) return Found{.is_absent = true};
@@ -114,8 +115,8 @@ bool FieldText::is_none(double number) const noexcept {
   });
 }
 
-/// Puts the digits before the mark into the buffer. `thousands` stands before groups of three of them, else it is
-/// another mark.
+/// Copies the digits before the decimal mark to the buffer. `thousands` must be before groups of three digits;
+/// otherwise it is not a thousands character.
 const char* FieldText::take_thousands(std::string_view& text) {
   if (thousands_ == '\0') return nullptr;
   std::size_t digits = 0;  // of the group
@@ -136,7 +137,7 @@ const char* FieldText::take_thousands(std::string_view& text) {
   return has_groups && digits != 3 ? wrong_groups : nullptr;
 }
 
-/// Null: the text is a number as it is written everywhere, or none at all.
+/// Null: the text is a number in the usual notation, or not a number.
 const char* FieldText::plain_number(std::string_view& text) {
   if (decimal_ == '.' && thousands_ == '\0' && base_ == 10 && !has_sign_blanks_) return nullptr;
   if (text.size() > longest_text) return "is too long for a number";
@@ -151,10 +152,10 @@ const char* FieldText::plain_number(std::string_view& text) {
     if (has_mark) text.remove_prefix(2);
     std::uint64_t number = 0;
     const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), number, base_);
-    if (status != std::errc{} || end != text.data() + text.size()) return "is not a number of its `base`";
+    if (status != std::errc{} || end != text.data() + text.size()) return "is not a number in its `base`";
     // Negative numbers as bytes have them: as int16, FFFF is -1.
     if (base_ == 16 && half_ != 0 && number >= half_ && number / 2 < half_ && buffer_.empty()) {
-      number = 2 * half_ - number;  // 64 bits: wraps around to what is right
+      number = 2 * half_ - number;  // 64 bits: wraps around to the correct number
       buffer_ += '-';
     }
     std::array<char, longest_number> digits{};
@@ -163,7 +164,7 @@ const char* FieldText::plain_number(std::string_view& text) {
     if (const char* const why = take_thousands(text)) return why;
     bool is_behind_mark = false;
     for (const char c : text) {
-      if (c == '.' && decimal_ == ',') return "has a point, and its `decimal` is a comma";
+      if (c == '.' && decimal_ == ',') return "has a point, but its `decimal` is a comma";
       is_behind_mark = is_behind_mark || c == decimal_ || c == 'e' || c == 'E';
       buffer_ += c == decimal_ ? '.' : c;
     }

@@ -14,8 +14,8 @@
 
 namespace rtdata::detail {
 
-/// What a number is multiplied by. A decimal one gives the number that the device means: 12530 by 0.001 is 12.53, the
-/// nearest double to it.
+/// The factor of a number. A decimal factor gives the number that the device means: 12530 times 0.001 is 12.53, as the
+/// nearest double.
 class FieldScale {
  public:
   explicit FieldScale(double scale) noexcept {
@@ -30,20 +30,20 @@ class FieldScale {
   bool is_divisor_;
 };
 
-/// Takes from the text of a column, or of a value in JSON, what stands around the number: `prefix`, `suffix`,
+/// Removes the characters around the number from the text of a column or of a JSON value: `prefix`, `suffix`,
 /// `thousands` and so on of LineField. A value; one thread at a time.
 class FieldText {
  public:
-  /// SetupError (bad-argument): settings that exclude each other.
+  /// SetupError (bad-argument): settings that cannot be combined.
   explicit FieldText(const LineField& field);
 
-  /// False: the text is the value as it is, and `read` need not be called.
+  /// False: the text is the value itself, and calling `read` is not necessary.
   bool is_used() const noexcept { return is_used_; }
   struct Found {
-    std::string_view text = {};  ///< as numbers are written everywhere; valid until the next call
+    std::string_view text = {};  ///< in the usual notation; valid until the next call
     bool is_absent = false;      ///< it is one of `no_value`
     bool is_scaled = true;       ///< false: one of `words`, whose number is not scaled
-    const char* why = nullptr;   ///< it cannot be used
+    const char* why = nullptr;   ///< why it cannot be used
   };
   /// No allocation.
   Found read(std::string_view text);
@@ -64,8 +64,8 @@ class FieldText {
   int base_;
   bool has_sign_blanks_;
   std::uint64_t half_;         ///< of a signed type: how many negative numbers it has; 0: of another type
-  bool has_notation_ = false;  ///< its numbers are not written as everywhere
-  std::vector<std::pair<std::string, std::optional<double>>> no_value_;  ///< with its number, if it is one
+  bool has_notation_ = false;  ///< its numbers are not in the usual notation
+  std::vector<std::pair<std::string, std::optional<double>>> no_value_;  ///< with its number, if it is a number
   bool has_numbers_of_none_ = false;
   std::vector<std::pair<std::string, std::string>> words_;
   std::string buffer_;

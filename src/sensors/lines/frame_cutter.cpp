@@ -14,10 +14,11 @@ namespace {
 
 std::string bytes_of(const char* key, const std::string& text, const std::string& hex) {
   if (!text.empty() && !hex.empty())
-    refuse_frame("there are both `" + std::string(key) + "` and `" + key + "_hex`", "remove one of them");
+    refuse_frame("it has both `" + std::string(key) + "` and `" + key + "_hex`", "remove one of them");
   auto bytes = bytes_of_hex(hex);
   if (!bytes)
-    refuse_frame("`" + std::string(key) + "_hex` is not bytes", "two hexadecimal digits each, such as \"42 4d\"");
+    refuse_frame("`" + std::string(key) + "_hex` is not bytes",
+                 "write two hexadecimal digits for each, such as \"42 4d\"");
   return text.empty() ? *bytes : text;
 }
 
@@ -25,7 +26,7 @@ char mark_of(Stuffing stuffing) noexcept {
   return stuffing == Stuffing::slip ? '\xc0' : stuffing == Stuffing::hdlc ? '\x7e' : '\0';
 }
 
-/// Each block begins with its length; behind one that is not full there was a 0.
+/// Each block begins with its length. After a block that is not full there was a 0.
 bool put_back_cobs(std::string_view stuffed, std::string& plain) {
   while (!stuffed.empty()) {
     const std::size_t size = static_cast<unsigned char>(stuffed.front());
@@ -37,7 +38,7 @@ bool put_back_cobs(std::string_view stuffed, std::string& plain) {
   return true;
 }
 
-/// A byte behind `escape` stands for another.
+/// A byte after `escape` represents another byte.
 bool put_back_escaped(Stuffing stuffing, std::string_view stuffed, std::string& plain) {
   const char escape = stuffing == Stuffing::slip ? '\xdb' : '\x7d';
   for (std::size_t i = 0; i < stuffed.size(); ++i) {
@@ -56,7 +57,7 @@ bool put_back_escaped(Stuffing stuffing, std::string_view stuffed, std::string& 
   return true;
 }
 
-/// How many bytes at the end may be the first ones of this mark.
+/// The number of bytes at the end that may be the start of this mark.
 std::size_t beginning_of(std::string_view mark, std::string_view bytes) noexcept {
   std::size_t size = std::min(bytes.size(), mark.size() - 1);
   while (!bytes.ends_with(mark.substr(0, size))) --size;
@@ -73,34 +74,32 @@ FrameCutter::FrameCutter(const LineFrame& config, std::size_t longest, Stream st
   if (config.stuffing != Stuffing::none) {
     if (!start_.empty() || !end_.empty() || config.after_end != 0 || config.length != 0 || config.length_at != 0 ||
         config.length_adds != 0)
-      refuse_frame("with `stuffing`, its mark says where a frame ends",
-                   "leave out all but `stuffing` and `byte_order`");
+      refuse_frame("with `stuffing`, a special byte marks the end of a frame",
+                   "remove all settings except `stuffing` and `byte_order`");
     end_ = mark_of(config.stuffing);
     plain_.reserve(longest);
     return;
   }
   const bool is_bare = stream == Stream::of_one && start_.empty() && config.length != 0 && config.length_at == 0;
   if (start_.empty() && end_.empty() && !is_bare)
-    refuse_frame("nothing says where a frame begins or ends", "set `start` or `end`, or `start_hex` or `end_hex`");
+    refuse_frame("the beginning and the end of a frame are unknown",
+                 "set `start` or `end`, or `start_hex` or `end_hex`");
   const bool has_length = config.length != 0 || config.length_at != 0;
-  if (end_.empty() && !has_length)
-    refuse_frame("nothing says where a frame ends", "set `end`, `length` or `length_at`");
+  if (end_.empty() && !has_length) refuse_frame("the end of a frame is unknown", "set `end`, `length` or `length_at`");
   if (start_.empty() && has_length && !is_bare)
-    refuse_frame("a frame of a known length has a start", "set `start` or `start_hex`");
-  if (config.length != 0 && config.length_at != 0)
-    refuse_frame("there are two lengths", "remove `length` or `length_at`");
+    refuse_frame("a frame with a length needs a start", "set `start` or `start_hex`");
+  if (config.length != 0 && config.length_at != 0) refuse_frame("it has two lengths", "remove `length` or `length_at`");
   if (config.length > longest) refuse_frame("`length` is longer than `max_line`", "set a larger `max_line`");
   if (config.length != 0 && config.length <= start_.size())
-    refuse_frame("`length` is that of the start", "count all bytes");
+    refuse_frame("`length` is not longer than the start", "set it to the number of all bytes of the frame");
   if (config.length_at != 0 && config.length_at < start_.size())
     refuse_frame("`length_at` is within the start", "count from the first byte of the start");
-  if (config.length_adds != 0 && config.length_at == 0)
-    refuse_frame("`length_adds` belongs to `length_at`", "leave it out");
+  if (config.length_adds != 0 && config.length_at == 0) refuse_frame("`length_adds` needs `length_at`", "remove it");
   if (config.after_end != 0 && (end_.empty() || has_length))
-    refuse_frame("`after_end` belongs to an `end` without a length", "leave it out");
+    refuse_frame("`after_end` works only with an `end` and without a length", "remove it");
 }
 
-/// The length that a frame says it has; empty: those bytes are still to come.
+/// The length stated in a frame. Empty: those bytes have not been received yet.
 std::optional<std::size_t> FrameCutter::announced(std::string_view frame) const noexcept {
   if (config_.length_at == 0) return config_.length;
   if (frame.size() < config_.length_at + config_.length_bytes) return std::nullopt;
@@ -115,7 +114,7 @@ std::optional<std::size_t> FrameCutter::announced(std::string_view frame) const 
 FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
   if (start_.empty() && config_.length == 0) return next_end(bytes);
   for (std::size_t begin = 0;;) {
-    const bool is_next = begin == 0 && bytes.starts_with(start_);  // as always, unless something was lost
+    const bool is_next = begin == 0 && bytes.starts_with(start_);  // the usual case, unless bytes were lost
     const std::size_t start = is_next ? 0 : bytes.find(start_, begin);
     if (start == std::string_view::npos) {
       return {bytes.size() - beginning_of(start_, bytes.substr(begin)), 0};
@@ -140,7 +139,8 @@ FrameCutter::Found FrameCutter::next(std::string_view bytes) noexcept {
   }
 }
 
-/// Stuffed frames may begin with marks, too, and between two of them is nothing. The first one ends what is too long.
+/// Stuffed frames may also begin with marks, and between two marks in a row there is no frame. The first mark ends a
+/// frame that is too long.
 std::size_t FrameCutter::marks_before(std::string_view bytes) const noexcept {
   if (config_.stuffing == Stuffing::none || is_overlong_) return 0;
   return std::min(bytes.find_first_not_of(end_.front()), bytes.size());
@@ -152,7 +152,7 @@ bool FrameCutter::holds_another(std::string_view frame) const noexcept {
          frame.find(start_, start_.size()) != std::string_view::npos;
 }
 
-/// Frames without a start begin where the last one ended.
+/// Frames without a start begin at the end of the last frame.
 FrameCutter::Found FrameCutter::next_end(std::string_view bytes) noexcept {
   for (std::size_t begin = 0;;) {
     begin += marks_before(bytes.substr(begin));
@@ -177,7 +177,7 @@ Result<std::string_view> FrameCutter::plain(std::string_view frame) {
   const bool is_good = config_.stuffing == Stuffing::cobs ? put_back_cobs(frame, plain_)
                                                           : put_back_escaped(config_.stuffing, frame, plain_);
   if (!is_good)
-    return Error{Errc::bad_data, "cannot use a frame", "frame", "its bytes are not those of its `stuffing`",
+    return Error{Errc::bad_data, "cannot use a frame", "frame", "its bytes do not follow its `stuffing`",
                  "check `stuffing` and `baud_rate`"};
   return std::string_view(plain_);
 }

@@ -41,7 +41,7 @@ bool begins_a_boolean(std::string_view text) noexcept {
   return false;
 }
 
-/// NMEA has lines of its own kind.
+/// NMEA defines its own lines.
 void check_nmea(const LineConfig& config) {
   for (const auto& [key, is_set] : {std::pair("frame", config.frame.has_value()),
                                     {"only", config.only.has_value()},
@@ -49,7 +49,7 @@ void check_nmea(const LineConfig& config) {
                                     {"checksum", config.checksum.has_value()},
                                     {"device_time", config.device_time.has_value()},
                                     {"line_end", config.line_end != '\n'}})
-    if (is_set) throw SetupError(refused_lines(key, "`format` nmea reads its sentences by itself", "leave it out"));
+    if (is_set) throw SetupError(refused_lines(key, "it has no effect with `format` nmea", "remove it"));
 }
 
 void check_marks(const LineConfig& config) {
@@ -59,33 +59,36 @@ void check_marks(const LineConfig& config) {
   constexpr std::string_view ends("\n\r\0", 3);
   const std::string& comment = config.comment;
   const bool is_csv = config.format == LineFormat::csv;
-  if (config.frame && config.line_end != '\n') refuse("line_end", "events are frames", "leave it out, or `frame`");
+  if (config.frame && config.line_end != '\n')
+    refuse("line_end", "`line_end` has no effect together with `frame`", "remove one of the two");
   if (config.format == LineFormat::binary && !config.frame)
-    refuse("frame", "bytes without a frame have no beginning", "set `frame`");
+    refuse("frame", "`format` binary needs a `frame`", "set `frame`");
   if (config.checksum && config.checksum->of == ChecksumOf::row && config.format != LineFormat::labels)
-    refuse("checksum", "only labels have rows", "leave `of` out");
+    refuse("checksum", "`of` row works only with `format` labels", "remove `of`");
   if (config.checksum && config.frame && config.frame->length != 0 && config.checksum->from >= config.frame->length)
-    refuse("checksum", "`from` is behind the frame", "check it and the frame's `length`");
+    refuse("checksum", "`from` is beyond the end of the frame", "check `from`, and the `length` of the frame");
   if (config.format == LineFormat::labels) return;
   if (comment.find_first_of(ends) != std::string::npos)
-    refuse("comment", "no line begins with the end of a line", "such as \"#\", or \"\" for none");
+    refuse("comment", "it contains a line end, so no line can begin with it",
+           "set another `comment`, such as \"#\", or \"\" for none");
   if (!comment.empty() && comment.find_first_not_of(" \t") == std::string::npos)
-    refuse("comment", "lines of data may begin with a blank", "such as \"#\", or \"\" for none");
+    refuse("comment", "lines of data may begin with a blank", "set another `comment`, such as \"#\", or \"\" for none");
   if (!is_csv) {
-    if (comment.starts_with('{')) refuse("comment", "each object begins with {", "such as \"#\", or \"\" for none");
+    if (comment.starts_with('{'))
+      refuse("comment", "each JSON object begins with {", "set another `comment`, such as \"#\", or \"\" for none");
     return;
   }
   if (config.separator == '"' || ends.find(config.separator) != std::string_view::npos)
-    refuse("separator", "it has another meaning in CSV", "such as \",\" or \";\"");
-  if (config.line_end == config.separator) refuse("line_end", "it is the separator", "set another one");
+    refuse("separator", "this character has another meaning in CSV", "set another `separator`, such as \",\" or \";\"");
+  if (config.line_end == config.separator) refuse("line_end", "it is the same as the separator", "set another one");
   if (std::string_view("0123456789+-.eEaAfFiInNtTyY").find(config.separator) != std::string_view::npos)
-    refuse("separator", "numbers may have this character", "such as \",\" or \";\"");
+    refuse("separator", "numbers may contain this character", "set another `separator`, such as \",\" or \";\"");
   if (comment.empty()) return;
   if (comment.front() == config.separator)
-    refuse("comment", "comments would begin with the separator", "set another `comment`, \"\" for none");
+    refuse("comment", "comments would begin with the separator", "set another `comment`, or \"\" for none");
   const bool begins_with_boolean = !config.fields.empty() && config.fields.front().type == Kind::boolean;
   if (comment.front() == '"' || begins_a_number(comment) || (begins_with_boolean && begins_a_boolean(comment)))
-    refuse("comment", "lines of data may begin with it", "such as \"#\", or \"\" for none");
+    refuse("comment", "lines of data may begin with it", "set another `comment`, such as \"#\", or \"\" for none");
 }
 
 void check_fields_of(const LineConfig& config) {
@@ -102,14 +105,15 @@ void check_fields_of(const LineConfig& config) {
     const bool has_bytes = is_binary || (config.format == LineFormat::pattern && field.wire);
     if (!is_binary && (field.at || field.bytes != 0 || (field.wire && !has_bytes)))
       throw SetupError(
-          refused_lines("field " + field.name, "`at`, `bytes` and `wire` are of binary frames", "leave them out"));
+          refused_lines("field " + field.name, "only binary frames have `at`, `bytes` and `wire`", "remove them"));
     if (!has_bytes && (field.bit || field.mask || field.bcd))
-      throw SetupError(refused_lines("field " + field.name, "`bit`, `mask` and `bcd` are of bytes", "leave them out"));
+      throw SetupError(
+          refused_lines("field " + field.name, "only fields of bytes have `bit`, `mask` and `bcd`", "remove them"));
     if (config.format != LineFormat::labels && field.column != 1)
-      throw SetupError(refused_lines("field " + field.name, "`column` is of labels", "leave it out"));
+      throw SetupError(refused_lines("field " + field.name, "only labels have `column`", "remove it"));
     const bool has_separator = field.decimal == config.separator || field.thousands == std::string(1, config.separator);
     if (config.format == LineFormat::csv && has_separator)
-      throw SetupError(refused_lines("separator", "field " + field.name + " has it within its numbers",
+      throw SetupError(refused_lines("separator", "field " + field.name + " has this character within its numbers",
                                      "set another `separator`, such as \";\""));
   }
 }
@@ -121,17 +125,18 @@ void check_match(const LineConfig& config, const char* key, const std::optional<
                         !match->pattern.empty();
   if (config.format == LineFormat::binary) {
     if (has_text || match->column != 0 || !match->key.empty())
-      refuse("frames of bytes have no text", "set `at` and `is_hex`");
+      refuse("binary frames have no text", "set `at` and `is_hex`");
     if (match->is_hex.empty()) refuse("it does not say what the bytes are", "set `is_hex`");
     for (const std::string& hex : match->is_hex) {
       const auto bytes = bytes_of_hex(hex);
-      if (!bytes || bytes->empty()) refuse("`is_hex` is not bytes", "two hexadecimal digits each, such as \"01 07\"");
+      if (!bytes || bytes->empty())
+        refuse("`is_hex` is not bytes", "write two hexadecimal digits for each, such as \"01 07\"");
       if (config.frame->length != 0 && match->at + bytes->size() > config.frame->length)
-        refuse("its bytes end behind the frame", "check `at` and the frame's `length`");
+        refuse("its bytes end beyond the frame", "check `at` and the frame's `length`");
     }
     return;
   }
-  if (match->at != 0 || !match->is_hex.empty()) refuse("`at` and `is_hex` are of binary frames", "leave them out");
+  if (match->at != 0 || !match->is_hex.empty()) refuse("only binary frames have `at` and `is_hex`", "remove them");
   if (!has_text) refuse("it does not say what the text is", "set `is`, `begins`, `contains` or `pattern`");
   if (match->column != 0 && config.format != LineFormat::csv)
     refuse("only CSV has columns", "use `key`, or the whole line");
@@ -151,7 +156,7 @@ void check_lines(const LineConfig& config) {
   check_match(config, "only", config.only);
   check_match(config, "unreadable_if", config.unreadable_if);
   if (config.format == LineFormat::binary && config.separator != ',')
-    throw SetupError(refused_lines("separator", "bytes have none", "leave it out"));
+    throw SetupError(refused_lines("separator", "binary frames have no separator", "remove it"));
 }
 
 std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config) {
@@ -166,8 +171,8 @@ std::vector<std::string> texts_at_open(const std::vector<std::string>& texts, co
   for (const std::string& one : hex) {
     auto bytes = bytes_of_hex(one);
     if (!bytes || bytes->empty())
-      throw SetupError(
-          refused_lines(key, "\"" + one + "\" is not bytes", "two hexadecimal digits each, such as \"02 4d 0d\""));
+      throw SetupError(refused_lines(key, "\"" + one + "\" is not bytes",
+                                     "write two hexadecimal digits for each, such as \"02 4d 0d\""));
     all.push_back(*std::move(bytes));
   }
   return all;
@@ -197,7 +202,7 @@ std::string type_with_article(Kind kind) {
 void check_bytes_are_framed(const LineConfig& config) {
   const bool has_bytes = std::any_of(config.fields.begin(), config.fields.end(), are_bytes);
   if (config.format == LineFormat::pattern && has_bytes && !config.frame)
-    throw SetupError(refused_lines("frame", "the bytes of fields with `wire` may be those that end a line",
+    throw SetupError(refused_lines("frame", "fields with `wire` may contain bytes that end a line",
                                    "set `frame`; `base` 16 is for bytes written as hexadecimal digits"));
 }
 
@@ -209,7 +214,7 @@ void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const 
     if (config.frame) FrameCutter(*config.frame, config.max_line, stream);
   } catch (const SetupError& error) {
     const Error& e = error.error();
-    if (e.code == Errc::not_found) {  // the library of patterns
+    if (e.code == Errc::not_found) {  // the pattern library
       add_not_installed(e, item, problems);
       return;
     }
@@ -218,7 +223,7 @@ void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const 
     const bool is_of_key = std::find(std::begin(keys), std::end(keys), e.where) != std::end(keys);
     const std::string key = is_of_key ? e.where : "fields";
     const ConfigItem* at = item.find(key);
-    if (at == nullptr && key == "comment") at = item.find("separator");  // which is that of the default
+    if (at == nullptr && key == "comment") at = item.find("separator");  // which has the default comment
     const bool is_key = e.where.empty() || e.where == key;
     problems.add(
         (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));
@@ -234,14 +239,15 @@ Result<std::shared_ptr<const Description>> line_description(const std::vector<Li
     if (field.name.empty()) continue;
     ++kept;
     if (field.type == Kind::enumeration || field.type == Kind::record) {
-      return detail::refused_lines("field " + field.name, "a line holds no " + std::string(name_of(field.type)),
+      return detail::refused_lines("field " + field.name, "a line cannot contain a " + std::string(name_of(field.type)),
                                    "choose another `type`");
     }
     if (field.scale == 0)
-      return detail::refused_lines("field " + field.name, "a scale of 0 makes all of it 0", "set another `scale`");
+      return detail::refused_lines("field " + field.name, "a scale of 0 would make every value 0",
+                                   "set another `scale`");
     if (field.scale != 1 && field.type != Kind::f32 && field.type != Kind::f64) {
       return detail::refused_lines("field " + field.name, "only a float or double can be scaled",
-                                   "make its `type` double");
+                                   "set its `type` to double");
     }
     using Presence = DescriptionBuilder::Presence;
     const bool is_optional = field.optional || !field.no_value.empty();
@@ -254,10 +260,10 @@ Result<std::shared_ptr<const Description>> line_description(const std::vector<Li
       builder.field(field.name, field.type, field.unit, presence);
     }
   }
-  if (kept == 0) return detail::refused_lines("", "no field has a name", "list what is in a line in `fields`");
+  if (kept == 0) return detail::refused_lines("", "no field has a name", "list the values of a line in `fields`");
   auto made = builder.build();
   if (made && (*made)->size() > max_payload_size)
-    return detail::refused_lines("", "they need more than 4 KiB", "shorten the texts");
+    return detail::refused_lines("", "the fields need more than 4 KiB", "shorten the texts");
   return made;
 }
 

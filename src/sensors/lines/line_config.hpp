@@ -1,4 +1,4 @@
-// What settings of lines can be together, and words about lines.
+// Which settings of lines can be combined, and texts about lines.
 #pragma once
 
 #include <memory>
@@ -16,21 +16,21 @@ class LineDecoder;
 inline constexpr const char* check_fields = "check `fields` and the other settings";
 /// `where`: the key, or "field NAME".
 Error refused_lines(std::string where, std::string why, std::string advice);
-/// SetupError (bad-argument): settings that exclude each other. Of lines that are not NMEA.
+/// For lines that are not NMEA. SetupError (bad-argument): settings that cannot be combined.
 void check_lines(const LineConfig& config);
-/// Null: NMEA. SetupError: as LineDecoder, and of settings that NMEA has not.
+/// Null: NMEA. SetupError: as LineDecoder, and for settings that NMEA does not have.
 std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config);
 
-/// `check_config` of a LineConfig whose frames are such.
+/// `check_config` of a LineConfig with such frames.
 void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const ConfigItem& item, Problems& problems);
 
-/// True if a pattern's group of it is bytes, not text.
+/// True if the pattern's group for this field contains bytes, not text.
 inline bool are_bytes(const LineField& field) noexcept { return field.wire && field.base != 16; }
-/// SetupError (bad-argument): a pattern takes bytes from lines, which are cut at some of them.
+/// SetupError (bad-argument): a pattern takes bytes from lines, which some of these bytes would end.
 void check_bytes_are_framed(const LineConfig& config);
 
-/// What is sent after an opening: the texts, then the bytes. `key`: of the bytes. SetupError (bad-argument): `hex` is
-/// not bytes.
+/// What is sent after opening: the texts, then the bytes. `key`: the key of the bytes. SetupError (bad-argument): `hex`
+/// is not bytes.
 std::vector<std::string> texts_at_open(const std::vector<std::string>& texts, const std::vector<std::string>& hex,
                                        const char* key = "at_open_hex");
 void check_at_open(const std::vector<std::string>& hex, const ConfigItem& item, Problems& problems,
@@ -38,7 +38,7 @@ void check_at_open(const std::vector<std::string>& hex, const ConfigItem& item, 
 
 /// The beginning of a line, in quotes.
 std::string shown_line(std::string_view text);
-/// Of numbers: "an int8", "a number".
+/// For numeric types: "an int8", "a number".
 std::string type_with_article(Kind kind);
 
 }  // namespace rtdata::detail

@@ -64,7 +64,7 @@ LineDecoder::LineDecoder(const LineConfig& config, AroundLine around)
   cell_.reserve(config.max_line);
   for (LineField& field : fields_) {
     LineField text = field;
-    if (field.wire) text.base = 10;  // that of digits that are bytes, of which `no_value` has numbers
+    if (field.wire) text.base = 10;  // the base of digits that are bytes, whose numbers are in `no_value`
     texts_.emplace_back(text);
     scales_.emplace_back(field.scale);
     field.optional = field.optional || !field.no_value.empty();
@@ -108,7 +108,7 @@ bool LineDecoder::is_skipped(std::string_view line) const noexcept {
 
 bool LineDecoder::is_chosen(std::string_view line) {
   is_too_long_ = is_not_json_ = false;
-  // Whether it is meant may not be known: then `decode` fails.
+  // If it is not known whether the line is for this sensor, `decode` fails.
   return matches(*only_, line) || is_not_json_;
 }
 
@@ -128,7 +128,7 @@ std::optional<LineDecoder::Match> LineDecoder::match_of(const std::optional<Line
   return match;
 }
 
-/// Also true if it would take too long to know.
+/// Also true if the search would take too long.
 bool LineDecoder::matches(Match& match, std::string_view line) {
   const LineMatch& wanted = match.config;
   if (!match.bytes.empty()) {
@@ -148,7 +148,7 @@ bool LineDecoder::is_found(LinePattern& pattern, std::string_view text) noexcept
   return search != LinePattern::Search::not_found;
 }
 
-/// Each group that has a name is a field's.
+/// Each named group belongs to a field.
 void LineDecoder::use_pattern(const std::string& expression) {
   pattern_.emplace(expression, "pattern", has_bytes());
   groups_.resize(fields_.size());
@@ -160,13 +160,14 @@ void LineDecoder::use_pattern(const std::string& expression) {
       is_used = true;
     }
     if (!is_used)
-      throw SetupError(refused_lines("pattern", "no field is named \"" + group.name + "\", as a group is",
+      throw SetupError(refused_lines("pattern",
+                                     "`pattern` has a group \"" + group.name + "\", but `fields` has no such field",
                                      "add it to `fields`, or write (...) without a name"));
   }
   for (std::size_t i = 0; i < fields_.size(); ++i)
     if (groups_[i].empty() && !is_given(i))
       throw SetupError(refused_lines("field " + fields_[i].name, "`pattern` has no group of this name",
-                                     "write (?<" + fields_[i].key + ">...) where its value stands"));
+                                     "write (?<" + fields_[i].key + ">...) at the place of its value"));
 }
 
 /// Fields of a binary frame; of a pattern, those with a `wire`.
@@ -180,16 +181,16 @@ void LineDecoder::use_bytes(const LineConfig& config) {
     const auto refuse = [&](const char* why, const char* advice) {
       throw SetupError(refused_lines(field.name.empty() ? "fields" : "field " + field.name, why, advice));
     };
-    if (field.name.empty()) refuse("a binary field has no name", "leave out what is not kept");
+    if (field.name.empty()) refuse("a binary field has no name", "set its `name`, or remove the field");
     if (field.base != 10 && (is_binary || field.base != 16))
-      refuse("its bytes are no digits of another base", "leave `base` out; 16 is for a `pattern`");
+      refuse("its bytes are not digits of another base", "remove `base`: only 16 in a `pattern` is possible");
     binary.emplace(field, leaves_[i], order);
     if (!is_binary) continue;
     if (!field.at) refuse("it has no place in the frame", "set `at`, the number of its first byte, from 0");
     if (field.optional && field.no_value.empty())
-      refuse("its bytes are always there", "leave `optional` out, or say by `no_value` what stands for none");
+      refuse("its bytes always exist", "remove `optional`, or set `no_value` to the number that means no value");
     if (config.frame->length != 0 && binary->at() + binary->size() > config.frame->length)
-      refuse("it ends behind the frame", "check `at`, `type` and the frame's `length`");
+      refuse("it ends beyond the frame", "check `at`, `type` and the frame's `length`");
   }
 }
 
@@ -202,7 +203,7 @@ Result<void> LineDecoder::decode_binary(std::string_view frame) {
     const BinaryField& field = *binary_[i];
     if (field.at() + field.size() > frame.size())
       return failure(Errc::bad_data, i,
-                     "the frame has " + std::to_string(frame.size()) + " bytes, and the field ends at " +
+                     "the frame has " + std::to_string(frame.size()) + " bytes, but the field ends at " +
                          std::to_string(field.at() + field.size()));
     if (const char* const why = field.put(frame.substr(field.at(), field.size()), texts_[i], payload()))
       return failure(Errc::out_of_range, i, why);
@@ -247,7 +248,7 @@ std::string LineDecoder::advice_on(std::string_view line) const {
   const bool is_numeric = std::none_of(fields_.begin(), fields_.end(),
                                        [](const LineField& field) { return field.type == Kind::text; });
   if (is_numeric && !line.empty() && std::isalpha(static_cast<unsigned char>(line.front())) != 0)
-    return std::string(check_fields) + "; a greeting or a heading is left out by `skip_lines` or `comment`";
+    return std::string(check_fields) + "; to skip a greeting or a heading, set `skip_lines` or `comment`";
   return check_fields;
 }
 
@@ -328,11 +329,11 @@ Result<LineDecoder::Column> LineDecoder::next_column(std::size_t index, std::str
   const auto first = rest.find_first_not_of(' ');
   const bool is_quoted = first != std::string_view::npos && rest[first] == '"';
   std::size_t end = is_quoted ? first + 1 : rest.find(separator_);
-  if (is_quoted) {  // a separator in it belongs to it, and a quote is written twice
+  if (is_quoted) {  // it may contain separators, and a quote in it is written twice
     cell_.clear();
     for (;; ++end) {
       const auto quote = rest.find('"', end);
-      if (quote == std::string_view::npos) return failure(Errc::bad_data, index, "its quote does not end");
+      if (quote == std::string_view::npos) return failure(Errc::bad_data, index, "its quote is not closed");
       cell_.append(rest.substr(end, quote - end));
       end = quote + 1;
       if (end >= rest.size() || rest[end] != '"') break;
@@ -348,7 +349,7 @@ Result<LineDecoder::Column> LineDecoder::next_column(std::size_t index, std::str
   return Column{text, is_quoted};
 }
 
-/// To the next column, behind the separator at `end`; npos: the line has no other.
+/// Goes to the next column, after the separator at `end`. npos: it was the last column.
 void LineDecoder::go_behind(std::size_t end, std::string_view& rest) const noexcept {
   if (end == std::string_view::npos) {
     rest = {};
@@ -358,7 +359,7 @@ void LineDecoder::go_behind(std::size_t end, std::string_view& rest) const noexc
   if (separator_ == ' ') rest.remove_prefix(std::min(rest.find_first_not_of(' '), rest.size()));
 }
 
-/// Most columns are plain numbers, which need only one look at them. False: `next_column` looks at it.
+/// Most columns are plain numbers, which are read in one pass. False: `next_column` must read it.
 bool LineDecoder::take_number(const PlainNumber& plain, std::string_view& rest) noexcept {
   const char* const end = rest.data() + rest.size();
   double number = 0;
@@ -374,7 +375,7 @@ bool LineDecoder::take_number(const PlainNumber& plain, std::string_view& rest) 
   return true;
 }
 
-/// Blanks within the quotes of a number do not count.
+/// Blanks within the quotes of a number are ignored.
 std::string_view LineDecoder::text_of(std::size_t index, const Column& column) const noexcept {
   const Leaf* const leaf = leaves_[index];
   const bool is_text = leaf == nullptr || leaf->kind == Kind::text || leaf->kind == Kind::character;
@@ -408,8 +409,8 @@ Result<void> LineDecoder::decode_pattern(std::string_view line) {
     case LinePattern::Search::found:
       break;
     case LinePattern::Search::not_found:
-      return Error{Errc::bad_data, bad_line_, shown_line(line), "`pattern` is not found in it",
-                   "check `pattern`; `only` leaves out lines of another kind"};
+      return Error{Errc::bad_data, bad_line_, shown_line(line), "`pattern` does not match it",
+                   "check `pattern`; to skip lines of another kind, set `only`"};
     case LinePattern::Search::too_long:
       return Error{Errc::bad_data, bad_line_, shown_line(line), "`pattern` takes too many steps",
                    "write `pattern` with fewer ways to match, such as [^,]* instead of .*"};
@@ -427,7 +428,7 @@ Result<void> LineDecoder::decode_pattern(std::string_view line) {
     }
     const std::string_view value = trimmed(text.value_or(""));
     if (value.empty() && fields_[i].optional) continue;
-    if (!text) return failure(Errc::bad_data, i, "its group is in no part of " + shown_line(line) + " that matches");
+    if (!text) return failure(Errc::bad_data, i, "`pattern` matches " + shown_line(line) + ", but without this group");
     if (Result<void> done = put(i, value); !done) return done;
   }
   return {};
@@ -435,7 +436,7 @@ Result<void> LineDecoder::decode_pattern(std::string_view line) {
 
 /// Bytes, or hexadecimal digits of bytes.
 Result<void> LineDecoder::put_group(std::size_t index, std::string_view group) {
-  std::optional<std::string> bytes;  // the few of a number need no allocation
+  std::optional<std::string> bytes;  // the few bytes of a number need no allocation
   if (fields_[index].base == 16) {
     bytes = bytes_of_hex(group);
     if (!bytes) return failure(Errc::bad_data, index, shown_line(group) + " is not bytes");
@@ -462,7 +463,7 @@ std::size_t LineDecoder::end_of_label(std::string_view row, std::string_view lab
   return mark != std::string_view::npos && trimmed(row.substr(0, mark)) == label ? mark : std::string_view::npos;
 }
 
-/// What follows the label in the first row with it; empty: there is none.
+/// The rest of the first row with this label. Empty: there is no such row.
 std::optional<std::string_view> LineDecoder::row_of(std::string_view rows, std::string_view label) const noexcept {
   while (!rows.empty()) {
     const std::size_t end = std::min(rows.find('\n'), rows.size());
@@ -491,8 +492,8 @@ Result<void> LineDecoder::decode_labels(std::string_view rows) {
         if (!good) return failure(Errc::bad_data, i, good.error().why);
         row = *good;
       }
-      if (row.size() <= mark) return failure(Errc::bad_data, i, "its row has a checksum, and no value");
-      if (seen_[i]) return failure(Errc::bad_data, i, "it is there twice");
+      if (row.size() <= mark) return failure(Errc::bad_data, i, "its row contains only a checksum, no value");
+      if (seen_[i]) return failure(Errc::bad_data, i, "it occurs twice");
       std::string_view rest = row.substr(mark + 1);
       Result<Column> column = next_column(i, rest);
       for (std::size_t n = 1; column && n < fields_[i].column; ++n) {
@@ -546,7 +547,7 @@ std::optional<std::uint64_t> LineDecoder::steps_between(std::uint64_t from, std:
   const std::uint64_t forward = (to - from) & all;
   const bool is_signed = sequence_->kind <= Kind::i64;
   const bool has_grown = is_signed ? forward <= all / 2 : to > from;
-  // A number that goes back has wrapped when that is a small step, else the device has started again.
+  // A number that goes back has wrapped around if the step is small; otherwise the device has restarted.
   if (forward != 0 && !has_grown && forward > all / 16) return std::nullopt;
   return forward;
 }

@@ -16,7 +16,7 @@
 
 namespace rtdata::detail {
 
-/// Fields with one of these keys are not in the lines and are set with `give`. Also the name of a line in messages.
+/// Fields with one of these keys are not in the lines and are set with `give`. Also: how messages call a line.
 struct AroundLine {
   std::vector<std::string> given = {};
   std::string what = "line";
@@ -31,18 +31,18 @@ class LineDecoder {
   const std::shared_ptr<const Description>& description() const noexcept { return description_; }
   /// True if the line is empty or a comment.
   bool is_skipped(std::string_view line) const noexcept;
-  /// False if `only` leaves the line out.
+  /// False if `only` excludes the line.
   bool is_meant(std::string_view line) { return !only_ || is_chosen(line); }
-  /// True if the line has a checksum that is wrong.
+  /// True if the checksum of the line is wrong.
   bool is_damaged(std::string_view line) const noexcept;
   /// The line or frame without its checksum. Errors: bad-data.
   Result<std::string_view> checked(std::string_view line) const;
-  /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation when
-  /// good.
+  /// Afterwards `payload` is the line's. Errors: bad-data, not-a-number, out-of-range, does-not-fit; no allocation
+  /// without an error.
   Result<void> decode(std::string_view line);
-  /// True if a pattern takes bytes, whatever they are, from what it is given.
+  /// True if a pattern takes any bytes.
   bool has_bytes() const noexcept;
-  /// After `decode` has failed: the device says that it has no value (`unreadable_if`).
+  /// After `decode` has failed: the device reports that it has no value (`unreadable_if`).
   bool says_none() const noexcept { return says_none_; }
   /// After `decode`: the value of the fields with this key. Errors: those of `decode`.
   Result<void> give(std::string_view key, std::string_view text);
@@ -59,9 +59,9 @@ class LineDecoder {
   NumberComparison step() noexcept;
   /// Call before `step`: true if this number follows the one before the last, so the last number was wrong.
   bool takes_back() const noexcept;
-  /// The last line's number does not count.
+  /// Ignores the last line's number.
   void drop_last() noexcept { last_ = before_; }
-  /// The next line's number is the first.
+  /// Starts again with the next line's number.
   void forget_sequence() noexcept { last_.reset(); }
 
  private:
@@ -73,9 +73,9 @@ class LineDecoder {
   void find_choices();
   /// The keys with the indices of the objects that they choose, in this line.
   void choose_in_json(std::string_view line);
-  /// Puts the value into `found_`; false: there is none.
+  /// Writes the value to `found_`. False: there is no value.
   bool find_in_json(std::string_view key, std::string_view line);
-  /// Where the label of the row ends, and it is this field's; npos: it is not.
+  /// The end of the row's label if it is this field's label; otherwise npos.
   std::size_t end_of_label(std::string_view row, std::string_view label) const noexcept;
   std::optional<std::string_view> row_of(std::string_view rows, std::string_view label) const noexcept;
   Result<void> decode_labels(std::string_view rows);
@@ -103,7 +103,7 @@ class LineDecoder {
   };
   std::string_view text_of(std::size_t index, const Column& column) const noexcept;
   Result<Column> next_column(std::size_t index, std::string_view& rest);
-  /// A column that holds the digits of a number and nothing else.
+  /// A column that contains only the digits of a number.
   struct PlainNumber {
     bool is_one = false;
     std::size_t offset = 0;  // of the number
@@ -113,7 +113,7 @@ class LineDecoder {
   void go_behind(std::size_t end, std::string_view& rest) const noexcept;
   Error failure(Errc code, std::size_t index, std::string why) const;
   std::uint64_t number() const noexcept;
-  /// The distance between two numbers; empty: it goes back.
+  /// The distance between two numbers. Empty: the number goes back.
   std::optional<std::uint64_t> steps_between(std::uint64_t from, std::uint64_t to) const noexcept;
   void use_pattern(const std::string& expression);
   bool is_given(std::size_t index) const noexcept { return is_given_[index]; }
@@ -138,9 +138,9 @@ class LineDecoder {
   std::optional<Checksum> checksum_;
   bool has_row_checksums_ = false;
   bool says_none_ = false;
-  bool is_too_long_ = false;                        // what `only` looks at, to be searched
-  bool is_not_json_ = false;                        // what `only` looks at
-  std::vector<std::optional<BinaryField>> binary_;  // of each field, of those whose values are bytes
+  bool is_too_long_ = false;                        // the text for `only` is too long for a search
+  bool is_not_json_ = false;                        // the text for `only` is not JSON
+  std::vector<std::optional<BinaryField>> binary_;  // of each field whose values are bytes
   std::vector<std::max_align_t> payload_;
   std::vector<bool> seen_;
   std::vector<bool> is_given_;

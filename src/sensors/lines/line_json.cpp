@@ -113,7 +113,7 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
     if (decoder_.fields_[i].key != path_ || decoder_.is_given(i)) continue;
     const Kind kind = decoder_.fields_[i].type;
     const bool is_textual = kind == Kind::text || kind == Kind::character;
-    // As our own JSON has them, since JSON has no such numbers.
+    // In the form of our own JSON output, since JSON has no such numbers.
     if (form == Form::string && (kind == Kind::f32 || kind == Kind::f64) &&
         (text == "NaN" || text == "Infinity" || text == "-Infinity"))
       form = Form::number;
@@ -121,9 +121,9 @@ bool LineDecoder::JsonHandler::take(Form form, std::string_view text) {
     if (form == Form::string && !is_textual)
       form = text.empty() && decoder_.fields_[i].optional ? Form::null : Form::number;
     if (decoder_.seen_[i]) {
-      error_ = decoder_.failure(Errc::bad_data, i, "it is there twice");
+      error_ = decoder_.failure(Errc::bad_data, i, "it occurs twice");
     } else if (form == Form::null && decoder_.fields_[i].optional) {
-      // absent, as it is from the beginning
+      // absent, as at the start
     } else if (form == Form::null || is_textual != (form == Form::string) ||
                (kind != Kind::boolean && form == Form::boolean)) {
       error_ = decoder_.failure(is_textual ? Errc::bad_data : Errc::not_a_number, i,
@@ -184,7 +184,7 @@ static std::size_t end_of_json(std::string_view line) { return std::min(line.fin
 Result<void> LineDecoder::decode_json(std::string_view line) {
   if (const std::size_t end = end_of_json(line); end != line.size())
     return Error{Errc::bad_data, bad_line_, shown_line(line),
-                 "it is not JSON from byte " + std::to_string(end + 1) + " on: there is a NUL", check_fields};
+                 "it is not JSON from byte " + std::to_string(end + 1) + " on: there is a NUL byte", check_fields};
   std::fill(seen_.begin(), seen_.end(), false);
   if (!choices_.empty()) choose_in_json(line);
   JsonHandler handler(*this);
@@ -199,7 +199,7 @@ Result<void> LineDecoder::decode_json(std::string_view line) {
 bool LineDecoder::find_in_json(std::string_view key, std::string_view line) {
   JsonHandler handler(*this, key);
   const bool is_whole = nlohmann::json::sax_parse(line.begin(), line.end(), &handler);
-  // Lines that are none at all, such as what a board prints when it starts, are not meant.
+  // Lines that are not JSON at all, such as a board's output at its start, are not for this sensor.
   const std::string_view begin = trimmed(line).substr(0, 1);
   is_not_json_ = !handler.has_found() && (begin == "{" || begin == "[") &&
                  (!is_whole || end_of_json(line) != line.size());

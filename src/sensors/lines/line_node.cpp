@@ -15,15 +15,16 @@
 namespace rtdata::detail {
 namespace {
 
-// Read at once, and so per turn of the loop; the most lines that this can be stay below the capacity of a topic's ring.
+// The most bytes read at once, that is per turn of the loop: their lines stay below the capacity of a topic's ring.
 constexpr std::size_t most_read = 1024;
 // This many bytes without a line end mean that the device sends no lines at this speed.
 constexpr std::size_t least_unended = 4096;
-// Bytes outside of frames, behind which no frame begins, are told after this time.
+// Bytes outside of frames, after which no frame begins, are reported after this time.
 constexpr Duration longest_untold = std::chrono::seconds{1};
-// Starts within frames that cannot be used are tried; so many, then the whole frame is left out: a turn has an end.
+// Within frames that cannot be used, at most this number of starts is tried; then the whole frame is skipped, so that a
+// turn ends.
 constexpr unsigned most_tries = 16;
-// A device that was silent for so long after the opening was not in the middle of a line.
+// A device that was silent for this time after opening was not in the middle of a line.
 constexpr Duration silence_before_a_line = std::chrono::milliseconds{100};
 
 bool is_same(const GpsFix& a, const GpsFix& b) noexcept {
@@ -181,7 +182,7 @@ void LineNode::take_bytes_read(std::string_view bytes, int error_number) {
   take_read(before);
 }
 
-/// The bytes from `before` on have been read just now.
+/// The bytes from `before` on are new.
 void LineNode::take_read(std::size_t before) {
   heard_bytes();
   time_ = loop()->runtime.event_time(heard_at());
@@ -250,7 +251,7 @@ void LineNode::take_frames() {
     begin += found.skipped;
     if (!is_same() || found.size == 0) break;
     const std::string_view frame = rest.substr(found.skipped, found.size);
-    const bool is_first = std::exchange(is_first_, false) && !cutter_->has_start();  // its beginning is not known
+    const bool is_first = std::exchange(is_first_, false) && !cutter_->has_start();  // its start is not known
     if (is_first) ++origin_.counts.first_lines;
     const bool is_used = is_first || take_frame(frame);
     if (!is_same()) break;
@@ -270,8 +271,8 @@ void LineNode::take_frames() {
   if (is_same()) line_.erase(0, begin);
 }
 
-/// Bytes that belong to no frame; those of a frame that could not be used have been reported. `are_all`: a frame seems
-/// to begin behind them.
+/// Reports bytes that belong to no frame, except those of an unusable frame, which have been reported. `are_all`: a
+/// frame seems to begin after them.
 void LineNode::skip(std::string_view bytes, bool are_all) {
   const std::size_t reported = std::min(bytes.size(), reported_bytes_);
   reported_bytes_ -= reported;
@@ -293,7 +294,7 @@ void LineNode::report_outside(bool is_much) {
     if (!is_much) return;
   }
   fail_line({Errc::bad_data, "bytes outside of a frame", place_,
-             std::to_string(size) + (size == 1 ? " byte is" : " bytes are") + " thrown away", advice_});
+             std::to_string(size) + (size == 1 ? " byte is" : " bytes are") + " discarded", advice_});
 }
 
 /// False: it cannot be used.
@@ -303,8 +304,9 @@ bool LineNode::take_frame(std::string_view frame) {
     return true;
   }
   if (!config_.checksum && cutter_->holds_another(frame)) {
-    fail_line({Errc::bad_data, "cannot use a frame", place_, "another one begins within it: its end was lost",
-               std::string(advice_) + "; with a `checksum` or a length, its start may stand in it"});
+    fail_line({Errc::bad_data, "cannot use a frame", place_,
+               "a second frame begins inside this frame: the end of the first was lost",
+               std::string(advice_) + "; if the start bytes can occur in the data, set `checksum` or a length"});
     return false;
   }
   const Result<std::string_view> plain = cutter_->plain(frame);
@@ -327,22 +329,22 @@ bool LineNode::take_frame(std::string_view frame) {
 }
 
 void LineNode::fail_unended() {
-  fail_line(
-      {Errc::bad_data, "no end of a line", place_, std::to_string(unended_) + " bytes came without one", advice_});
+  fail_line({Errc::bad_data, "no end of a line", place_, std::to_string(unended_) + " bytes came without a line end",
+             advice_});
 }
 
 /// Reports at the end that bytes came but never a usable line.
 void LineNode::report_unended() {
   if (cutter_) {
-    if (!is_taking_) report_rest(End::ours);  // else a callback stops the sensor: what follows is not looked at
+    if (!is_taking_) report_rest(End::ours);  // otherwise a callback stops the sensor: the rest is not examined
     return;
   }
   if (!is_running() || unended_ == 0 || !is_beginning_ || origin_.counts.received != 0) return;
   if (!std::exchange(is_unended_reported_, true)) fail_unended();
 }
 
-/// What comes no more has no end: a line, or frames behind a length that is wrong. If the sensor is stopped within a
-/// frame, that is nobody's loss.
+/// The source has ended within a line, or within a frame whose length is wrong. If the sensor is stopped within a
+/// frame, it is not counted as lost.
 void LineNode::report_rest(End end) {
   if (!is_running()) return;
   const std::size_t outside = skipped_;
@@ -379,12 +381,12 @@ void LineNode::end_message() {
 
 Error LineNode::silence_error() const {
   return {Errc::timed_out, "nothing comes", place_, "it has been silent for " + to_string(config_.silence),
-          "check the device; `silence` sets how long it may be silent"};
+          "check the device; `silence` is how long it may be silent"};
 }
 
 void LineNode::take_line(std::string_view line) {
   if (config_.line_end == '\r' && line.starts_with('\n')) line.remove_prefix(1);
-  while (!line.empty() && line.back() == '\r') line.remove_suffix(1);  // some send two of them
+  while (!line.empty() && line.back() == '\r') line.remove_suffix(1);  // some devices send two
   if (lines_to_skip_ != 0) {
     --lines_to_skip_;
     return;
@@ -408,7 +410,7 @@ void LineNode::take_decoded() {
     if (fd_ < 0 || openings_ != opening) return;
   }
   const LineDecoder::NumberComparison step = decoder_->step();
-  // Left-out numbers of lines that came but could not be used are not lost.
+  // Missing numbers of lines that were received but could not be used are not lost.
   const std::uint64_t unusable = std::exchange(unusable_lines_, 0);
   const std::uint64_t lost = step.lost - std::min(step.lost, unusable);
   const Time time = clock_ ? time_of_decoded() : time_;
@@ -422,24 +424,24 @@ void LineNode::take_decoded() {
   succeed();
 }
 
-/// The device's time of it.
+/// The device's time of the line.
 Time LineNode::time_of_decoded() {
   const MonotonicTime at = clock_->time_of(decoder_->payload(), heard_at());
   RuntimeCore& runtime = loop()->runtime;
   if (clock_->take_useless())
     runtime.log(LogLevel::warning, object_name(),
-                "the clock of the device does not run as ours does, or stands still at times: the times of events are "
-                "those of the reads from now on; check `field` and `step` of `device_time`");
-  if (clock_->take_restart())
-    runtime.log(LogLevel::info, object_name(), "the clock of the device has started again, or was set");
+                "the device clock differs too much from the computer's clock, or stops at times: from now on events "
+                "get the time of the read; check `field` and `step` of `device_time`");
+  if (clock_->take_restart()) runtime.log(LogLevel::info, object_name(), "the device clock restarted, or was set");
   if (const auto drift = clock_->take_drift())
     runtime.log(LogLevel::info, object_name(),
-                "the clock of the device is " + std::to_string(std::lround(std::fabs(*drift))) + " ppm " +
-                    (*drift < 0 ? "slower" : "faster") + " than ours, which its times follow");
+                "the device clock is " + std::to_string(std::lround(std::fabs(*drift))) + " ppm " +
+                    (*drift < 0 ? "slower" : "faster") +
+                    " than the computer's clock; event times are corrected for this");
   return runtime.event_time(at);
 }
 
-/// A line whose number has made a jump is kept until the next one says whether that was a wrong digit.
+/// A line whose number jumped is kept until the next line shows whether a digit was wrong.
 void LineNode::hold(std::uint64_t lost, std::uint64_t unusable, Time time) {
   constexpr Duration most_held = std::chrono::seconds{1};
   held_.is_there = true;
@@ -450,7 +452,7 @@ void LineNode::hold(std::uint64_t lost, std::uint64_t unusable, Time time) {
   hold_.start(config_.silence > Duration{0} ? std::min(config_.silence, most_held) : most_held);
 }
 
-/// The jump stands: what is between is lost.
+/// The jump was real: the numbers in between are lost.
 void LineNode::let_go() {
   if (!std::exchange(held_.is_there, false)) return;
   hold_.stop();
@@ -465,8 +467,9 @@ void LineNode::refuse_held() {
   hold_.stop();
   decoder_->drop_last();
   unusable_lines_ += held_.unusable;
-  fail_line({Errc::bad_data, "cannot use a line", place_, "its number makes a jump that the next line takes back",
-             "a digit was lost or changed on the way: check the wires, and which other device writes to the line"});
+  fail_line({Errc::bad_data, "cannot use a line", place_,
+             "its sequence number jumps, and the next line continues the old sequence",
+             "check the wires, and whether another device writes to the line: a digit was lost or changed"});
 }
 
 void LineNode::take_sentence(std::string_view line) {
@@ -483,7 +486,7 @@ void LineNode::take_sentence(std::string_view line) {
   const unsigned opening = openings_;
   if (has_more) {
     fail_line({Errc::bad_data, "cannot use the bytes before a sentence", place_,
-               std::to_string(begin) + " bytes outside of an NMEA sentence", "let the receiver send NMEA only"});
+               std::to_string(begin) + " bytes outside of an NMEA sentence", "set the receiver to send only NMEA"});
     if (fd_ < 0 || openings_ != opening) return;
     line.remove_prefix(begin);
   }
@@ -494,7 +497,7 @@ void LineNode::take_sentence(std::string_view line) {
 
 void LineNode::publish(GpsFix fix, Time time) {
   ++origin_.counts.received;
-  // A receiver that says the same instant again has nothing new; without a time, each fix may be.
+  // A receiver that sends the same time again has nothing new; without a time, each fix may be new.
   const bool is_repeated = fix.gps_time && last_fix_ && is_same(*last_fix_, fix);
   last_fix_ = fix;
   if (is_repeated) {
@@ -505,7 +508,7 @@ void LineNode::publish(GpsFix fix, Time time) {
   }
 }
 
-/// Publishes the last fix when no more sentences will come.
+/// Publishes the last fix if no more sentences are expected.
 void LineNode::finish_fix() {
   if (fixes_ != nullptr && is_running()) fixes_->finish(publish_fix_);
 }
@@ -517,7 +520,7 @@ void LineNode::fail_overlong() {
   }
   fail_line({Errc::does_not_fit, "cannot use a line", place_,
              "it is longer than " + std::to_string(config_.max_line) + " bytes",
-             std::string(advice_) + "; `max_line` sets how long a line may be"});
+             std::string(advice_) + "; set a larger `max_line` if lines can be longer"});
 }
 
 void LineNode::fail_line(const Error& error) {

@@ -28,12 +28,12 @@ class LineNode : public StreamNode {
   std::optional<SensorLoad> load() const override;
 
  protected:
-  /// `place`: what the lines come from, in messages. `advice`: what to check if what comes is not lines. SetupError:
-  /// as LineDecoder.
+  /// `place`: the source of the lines, in messages. `advice`: what to check if the received bytes are not lines.
+  /// SetupError: as LineDecoder.
   LineNode(LoopCore& loop, const FeedConfig& feed, LineConfig config, std::string place, const char* advice);
 
   // A derived class overrides `open_stream`, whose result goes to `take`, now or later: a descriptor that does not
-  // block, closed with `close_source`, or the reason why there is none.
+  // block, closed with `close_source`, or the reason why it could not be opened.
   void take(Result<int> fd);
   /// Reads the source from now on: calls `take_bytes` with what it reads. Overridden where nodes share a source.
   virtual void watch_source(int fd);
@@ -45,16 +45,16 @@ class LineNode : public StreamNode {
   virtual void source_ended(int error_number) = 0;
   /// Starts running; the caller opens the source.
   void begin_lines();
-  /// What comes first is the rest of a line, however long the source is silent.
+  /// The first bytes are the rest of a line, however long the source is silent.
   void expect_rest_of_line();
   bool has_source() const noexcept { return fd_ >= 0; }
   /// Changes with each opening.
   unsigned opening() const noexcept { return openings_; }
-  /// The source has an end that it chooses: a line without an end is told then.
+  /// The source can end by itself: a line without a line end is reported then.
   void set_stream() noexcept { is_stream_ = true; }
-  /// What has come is all of a message: bytes without an end are unreadable.
+  /// The message is complete: bytes without a line end are unreadable.
   void end_message();
-  /// No more is read from the source.
+  /// Stops reading from the source.
   void pause_reading() { watch_.close(); }
   void close_stream() noexcept override;
   const std::string& place() const noexcept { return place_; }
@@ -113,25 +113,25 @@ class LineNode : public StreamNode {
   };
   Held held_;
   Timer hold_;
-  Timer outside_;  // since bytes outside of frames came last
+  Timer outside_;  // since the last bytes outside of frames
   Timer quiet_;    // since the opening
   FdWatch watch_;
   int fd_ = -1;
   std::string line_;  // the bytes of the lines that are not complete, never more than max_line + most_read
   Time time_{};       // of the last read
   unsigned openings_ = 0;
-  std::size_t unended_ = 0;           // bytes since the last end of a line
+  std::size_t unended_ = 0;           // bytes since the last line end
   bool is_unended_reported_ = false;  // that there are too many
   unsigned lines_to_skip_ = 0;
   std::uint64_t unusable_lines_ = 0;  // since the last good one
-  bool is_first_ = true;              // nothing but the rest of a line may have come yet
-  bool is_beginning_ = true;          // no line has come yet
-  bool is_taking_ = false;            // frames, just now
+  bool is_first_ = true;              // only the rest of a line may have been received yet
+  bool is_beginning_ = true;          // no line has been received yet
+  bool is_taking_ = false;            // frames are being taken
   bool is_stream_ = false;
-  bool is_overlong_ = false;  // the rest of the line is thrown away
+  bool is_overlong_ = false;  // the rest of the line is discarded
 };
 
-/// SetupError (bad-argument): settings that no source can have.
+/// SetupError (bad-argument): settings that are invalid for any source.
 void check_source(const LineConfig& config, const std::string& sensor);
 
 }  // namespace rtdata::detail

@@ -23,8 +23,8 @@ std::string message_of(int number) {
   return reinterpret_cast<const char*>(text);
 }
 
-/// What a search may still take. Each item of the pattern that is tried is a step, and so is each byte that was passed
-/// since the one before: PCRE2's own limit counts neither all starts nor the bytes.
+/// The remaining steps of a search. Each item of the pattern that is tried is a step, and so is each byte passed since
+/// the item before: PCRE2's own limit counts neither all starts nor the bytes.
 struct Budget {
   std::int64_t left = 0;
   std::size_t at = 0;
@@ -37,8 +37,8 @@ int take_step(pcre2_callout_block* block, void* to) {
   return budget.left < 0 ? PCRE2_ERROR_CALLOUT : 0;
 }
 
-/// Most lines are found, or not, in a few steps, which need no account. The worst that they can take is the product of
-/// starts, steps of each start, and bytes of each step. 0: such a line is too long for it.
+/// For most lines a search takes a few steps, which are not counted. The upper limit is the product of starts, steps of
+/// each start, and bytes of each step. 0: the line is too long for a search without counting.
 constexpr std::uint32_t unaccounted_steps(std::size_t bytes) noexcept {
   constexpr std::size_t most_looked_at = 1'000'000;
   return static_cast<std::uint32_t>(most_looked_at / ((bytes + 8) * (bytes + 8)));
@@ -67,8 +67,8 @@ struct LinePattern::Compiled {
   int match(const pcre2_code* with, std::string_view text, pcre2_match_context* within) noexcept {
     return pcre2_match(with, reinterpret_cast<const unsigned char*>(text.data()), text.size(), 0, 0, found, within);
   }
-  pcre2_code* code = nullptr;        // each step is accounted for
-  pcre2_code* plain_code = nullptr;  // the same without
+  pcre2_code* code = nullptr;        // each step is counted
+  pcre2_code* plain_code = nullptr;  // steps are not counted
   pcre2_match_context* limits = nullptr;
   pcre2_match_context* few_steps = nullptr;
   pcre2_match_data* found = nullptr;
@@ -77,7 +77,7 @@ struct LinePattern::Compiled {
 
 LinePattern::LinePattern(const std::string& expression, const char* key, bool of_bytes) {
   if (expression.empty())
-    throw SetupError(refused_lines(key, "there is no regular expression", "such as \"T=(?<temp>[-0-9.]+)\""));
+    throw SetupError(refused_lines(key, "there is no regular expression", "set it, such as \"T=(?<temp>[-0-9.]+)\""));
   if (const Result<void> loaded = libpcre2.load(); !loaded) throw SetupError(loaded.error());
   compiled_ = std::make_unique<Compiled>();
   int number = 0;
@@ -89,7 +89,7 @@ LinePattern::LinePattern(const std::string& expression, const char* key, bool of
   compiled_->code = compiled(PCRE2_AUTO_CALLOUT);
   if (compiled_->code == nullptr)
     throw SetupError(refused_lines(key, "at character " + std::to_string(at) + ": " + message_of(number),
-                                   "it is a regular expression of Perl's kind; `man pcre2pattern` describes them"));
+                                   "use the syntax of Perl: `man pcre2pattern` describes it"));
   compiled_->plain_code = compiled(0);
   compiled_->limits = pcre2_match_context_create(nullptr);
   compiled_->few_steps = pcre2_match_context_create(nullptr);
@@ -125,7 +125,7 @@ LinePattern::Search LinePattern::search(std::string_view text) noexcept {
 std::optional<std::string_view> LinePattern::group(unsigned number) const noexcept {
   const std::size_t* const ends = pcre2_get_ovector_pointer(compiled_->found);
   const std::size_t begin = ends[2 * number], end = ends[2 * number + 1];
-  if (begin == PCRE2_UNSET || end < begin) return std::nullopt;  // \K may put an end before its beginning
+  if (begin == PCRE2_UNSET || end < begin) return std::nullopt;  // \K may put an end before its start
   return text_.substr(begin, end - begin);
 }
 

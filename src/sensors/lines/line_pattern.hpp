@@ -10,13 +10,13 @@
 
 namespace rtdata::detail {
 
-/// A call allocates nothing once its first ones are over, and ends after so many steps that no text holds the loop.
+/// Only the first calls allocate memory. A call ends after a limited number of steps, so that no text blocks the loop.
 class LinePattern {
  public:
   static constexpr std::size_t most_steps = 20'000, steps_of_a_byte = 8;  // of a search: both together
 
-  /// SetupError: bad-argument (not such an expression, or built without PCRE2), not-found (PCRE2 is not installed).
-  /// `key`: of its setting, in errors. `of_bytes`: a point in it means any byte, also that of a newline.
+  /// SetupError: bad-argument (an invalid expression, or built without PCRE2), not-found (PCRE2 is not installed).
+  /// `key`: the key of the setting, in errors. `of_bytes`: a `.` matches any byte, also a newline.
   LinePattern(const std::string& expression, const char* key, bool of_bytes = false);
   LinePattern(LinePattern&&) noexcept;
   LinePattern& operator=(LinePattern&&) noexcept;
@@ -25,7 +25,7 @@ class LinePattern {
   enum class Search { found, not_found, too_long };
   /// The first place that matches.
   Search search(std::string_view text) noexcept;
-  /// After `found`: the text of a group; empty: it took no part. Valid as long as the text.
+  /// After `found`: the text of a group. Empty: the group is not part of the match. Valid as long as the text.
   std::optional<std::string_view> group(unsigned number) const noexcept;
 
   struct Group {

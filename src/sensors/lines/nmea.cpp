@@ -1,4 +1,4 @@
-// NMEA 0183, as IEC 61162-1 has it: "$", talker and sentence, fields separated by commas, "*", checksum.
+// NMEA 0183 as defined in IEC 61162-1: "$", talker and sentence, fields separated by commas, "*", checksum.
 #include "sensors/lines/nmea.hpp"
 
 #include <algorithm>
@@ -67,13 +67,13 @@ struct NmeaFixes::Columns {
     const std::optional<double> value = number(i);
     if (!value) return std::nullopt;
     const std::string_view side = at(i + 1);
-    if (side.size() != 1 || (side[0] != positive && side[0] != negative)) return refuse(i + 1, "is no hemisphere");
+    if (side.size() != 1 || (side[0] != positive && side[0] != negative)) return refuse(i + 1, "is not a hemisphere");
     const double degrees = std::floor(*value / 100), minutes = *value - 100 * degrees;
     const double angle = degrees + minutes / 60;
-    if (*value < 0 || minutes >= 60 || angle > most) return refuse(i, "is no angle");
+    if (*value < 0 || minutes >= 60 || angle > most) return refuse(i, "is not an angle");
     return side[0] == positive ? angle : -angle;
   }
-  /// Latitude and longitude, from column `i` on. Nothing: one of both is missing.
+  /// Latitude and longitude, from column `i` on. Empty: one of the two is missing.
   std::optional<std::pair<double, double>> position(std::size_t i) const {
     const std::optional<double> lat = angle(i, 90, 'N', 'S'), lon = angle(i + 2, 180, 'E', 'W');
     if (!lat || !lon) return std::nullopt;
@@ -97,7 +97,7 @@ struct NmeaFixes::Columns {
     }
     return std::optional<std::int64_t>((pair(0) * 3600 + pair(2) * 60 + pair(4)) * second + fraction);
   }
-  /// "210615": the day's beginning, ns since the Unix epoch. Years of two digits: 1980 to 2079.
+  /// "210615": the start of the day, ns since the Unix epoch. Years of two digits: 1980 to 2079.
   std::optional<std::int64_t> date(std::size_t i) const {
     const std::string_view word = at(i);
     if (word.empty()) return std::nullopt;
@@ -121,7 +121,7 @@ std::uint8_t NmeaFixes::checksum(std::string_view text) noexcept {
 }
 
 NmeaFixes::NmeaFixes(std::string_view device) {
-  if (device.size() <= decltype(device_)::capacity()) device_ = device;  // a longer path is left out
+  if (device.size() <= decltype(device_)::capacity()) device_ = device;  // longer paths are ignored
 }
 
 void NmeaFixes::reset() noexcept {
@@ -143,8 +143,8 @@ Result<void> NmeaFixes::read_gga(const Columns& columns, Draft& draft) const {
   draft.fix.satellites_used.reset();
   if (used) draft.fix.satellites_used = static_cast<std::uint16_t>(*used);
   if (!quality)
-    return columns.has_position(2) ? columns.bad(6, "is not a quality of a fix") : Result<void>();  // it says nothing
-  if (*quality == 0) {  // what stands for the position is none
+    return columns.has_position(2) ? columns.bad(6, "is not a fix quality") : Result<void>();  // it says nothing
+  if (*quality == 0) {  // the position is not valid
     draft.is_void = true;
     return {};
   }
@@ -156,7 +156,7 @@ Result<void> NmeaFixes::read_gga(const Columns& columns, Draft& draft) const {
   draft.fix.alt_msl = altitude;
   draft.fix.geoid_sep = geoid;
   if (altitude && geoid) draft.fix.alt_hae = *altitude + *geoid;
-  // As gpsd's status: 1 GPS, 2 DGPS, 3 RTK, 4 floating RTK, 5 dead reckoning, 8 simulated.
+  // The same numbers as gpsd's status: 1 GPS, 2 DGPS, 3 RTK, 4 floating RTK, 5 dead reckoning, 8 simulated.
   constexpr std::uint8_t status_of[] = {0, 1, 2, 0, 3, 4, 5, 0, 8, 0};
   if (status_of[*quality] != 0) draft.fix.status = status_of[*quality];
   return {};
@@ -168,7 +168,7 @@ Result<void> NmeaFixes::read_rmc(const Columns& columns, Draft& draft) const {
   const auto date = columns.date(9);
   if (*time) draft.time_of_day = *time;
   draft.fix.gps_time.reset();
-  // There is no number for a leap second.
+  // A leap second has no number.
   if (*time && date && **time < day_length) draft.fix.gps_time = *date + **time;
   const std::string_view status = columns.at(2);
   if (status.empty() && !columns.has_position(3)) return {};  // it says nothing
@@ -176,7 +176,7 @@ Result<void> NmeaFixes::read_rmc(const Columns& columns, Draft& draft) const {
     draft.is_void = true;
     return {};
   }
-  if (status != "A") return columns.bad(2, "is not a status of a fix");
+  if (status != "A") return columns.bad(2, "is not a fix status");
   const auto position = columns.position(3);
   if (position && (!draft.fix.lat || !draft.fix.lon)) {  // GGA may have more digits
     draft.fix.lat = position->first;
@@ -185,7 +185,7 @@ Result<void> NmeaFixes::read_rmc(const Columns& columns, Draft& draft) const {
   if (const auto speed = columns.number(7)) draft.fix.speed = *speed * knot;
   draft.fix.track = columns.number(8);
   const std::string_view side = columns.at(11);
-  // Some receivers leave out where the variation goes to.
+  // Some receivers omit the direction of the variation.
   if (const auto variation = columns.number(10); variation && (side == "E" || side == "W"))
     draft.fix.mag_var = side == "E" ? *variation : -*variation;
   draft.has_rmc_velocity = true;
@@ -193,7 +193,7 @@ Result<void> NmeaFixes::read_rmc(const Columns& columns, Draft& draft) const {
 }
 
 Result<void> NmeaFixes::read_vtg(const Columns& columns, Draft& draft) const {
-  if (draft.has_rmc_velocity || columns.at(9) == "N") return {};  // RMC's velocity comes with its time: it is preferred
+  if (draft.has_rmc_velocity || columns.at(9) == "N") return {};  // RMC's velocity has a time, so it is preferred
   const auto knots = columns.number(5), kilometres = columns.number(7);
   if (const auto track = columns.number(1)) draft.fix.track = track;
   if (knots) draft.fix.speed = *knots * knot;
@@ -223,8 +223,8 @@ Result<void> NmeaFixes::read_other_talker(const Columns& columns, Sentence sente
   return {};
 }
 
-/// Satellites come once for each signal of theirs, and once more where none is received; since NMEA 4.10 the signal's
-/// number is behind them.
+/// Satellites are listed once for each of their signals, and once more if no signal is received; since NMEA 4.10 the
+/// signal's number follows them.
 Result<void> NmeaFixes::take_gsv(const Columns& columns) {
   const auto message = columns.whole(2, 99);
   const auto count = columns.whole(3, 999);
@@ -271,7 +271,7 @@ GpsFix NmeaFixes::completed() const {
   bool is_known = false;
   for (const Visible& one : visible_) {
     is_known = is_known || one.talker != std::array<char, 2>{};
-    // A round that has not all signals yet has not all satellites.
+    // A round without all signals does not have all satellites yet.
     visible += (one.signals & one.last_signals) == one.last_signals ? one.count() : one.last_count;
   }
   if (is_known) fix.satellites_visible = static_cast<std::uint16_t>(visible);
@@ -299,7 +299,7 @@ void NmeaFixes::finish(const Publish& publish) {
 
 Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& publish) {
   const auto bad = [&](const char* why) { return failure(Errc::bad_data, line, why); };
-  if (line.size() < 4 || (line[0] != '$' && line[0] != '!')) return bad("this is not a sentence of NMEA");
+  if (line.size() < 4 || (line[0] != '$' && line[0] != '!')) return bad("this is not an NMEA sentence");
   const std::size_t star = line.size() - 3;
   if (line[star] != '*') return bad("it has no checksum");
   const int high = hex_digit(line[star + 1]), low = hex_digit(line[star + 2]);
@@ -314,7 +314,7 @@ Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& pu
   }
   columns.name = columns.text[0];
   const std::string_view name = columns.name;
-  const bool is_standard = name.size() == 5 && name[0] != 'P';  // "P": a maker's own
+  const bool is_standard = name.size() == 5 && name[0] != 'P';  // "P": a manufacturer's own sentence
   const std::string_view kind = is_standard ? name.substr(2) : std::string_view();
   if (kind == "GSV") return take_gsv(columns);
   SentencePosition step;
@@ -334,7 +334,7 @@ Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& pu
   std::size_t place = static_cast<std::size_t>(step.sentence);
   const std::array<char, 2> talker{name[0], name[1]};
   bool is_other_talker = false;  // of the same instant
-  bool begins = !is_begun_;      // by one without a time: the rest of a fix whose beginning was not heard
+  bool begins = !is_begun_;      // by a sentence without a time: the rest of a fix whose start was not received
   if (has_time) {
     const auto said = columns.time_of_day(1);
     if (!said) return said.error();
@@ -356,7 +356,7 @@ Result<void> NmeaFixes::take(std::string_view line, Time time, const Publish& pu
     is_without_time_ = !has_time;
     published_.reset();
   }
-  // The talker that is counted by: the first, or the first that has a fix.
+  // The talker whose sentences are counted: the first, or the first with a fix.
   if (seen_[place] == 0 || (!draft_.fix.lat && draft.fix.lat)) talkers_[place] = talker;
   draft_ = draft;
   step.number = ++seen_[place];

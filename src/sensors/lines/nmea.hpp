@@ -1,4 +1,4 @@
-// Sentences of NMEA 0183 to fixes.
+// Converts NMEA 0183 sentences to fixes.
 #pragma once
 
 #include <algorithm>
@@ -16,14 +16,14 @@
 
 namespace rtdata::detail {
 
-/// Joins the sentences of one instant, which a receiver sends one after the other, to one fix.
+/// Joins the sentences of one time, which a receiver sends one after the other, to one fix.
 ///
-/// GGA and RMC carry the time: one whose time differs from the current fix's, or of a type that the fix already has,
-/// begins a new fix; not one of another talker (GL beside GP) with the same time. VTG and GSA carry no time and belong
-/// to the current fix; before the first GGA or RMC they are a fix of their own. A fix is complete with the sentence
-/// that ended the earlier fixes, or else when the next fix begins. If further sentences follow because the receiver has
-/// changed its order, the fix is published again when the next one begins. GSV gives the number of satellites in view,
-/// which all later fixes have.
+/// GGA and RMC contain the time. A new fix begins if their time differs from the current fix's, or if the fix already
+/// has a sentence of this type; not if another talker (GL after GP) sends the same time. VTG and GSA contain no time
+/// and belong to the current fix; before the first GGA or RMC they are a separate fix. A fix is complete after the
+/// sentence that ended the earlier fixes, at the latest when the next fix begins. If further sentences follow because
+/// the receiver has changed its order, the fix is published again when the next one begins. GSV gives the number of
+/// satellites in view, which is added to all later fixes.
 class NmeaFixes {
  public:
   explicit NmeaFixes(std::string_view device);
@@ -62,7 +62,7 @@ class NmeaFixes {
 
   struct Draft {
     GpsFix fix;
-    std::optional<std::int64_t> time_of_day;  // ns, from the last sentence that carries it
+    std::optional<std::int64_t> time_of_day;  // ns, from the last sentence that contains it
     bool is_void = false;                     // a sentence states that there is no fix
     bool has_rmc_velocity = false;
     std::optional<std::uint8_t> gsa_mode;
@@ -71,7 +71,7 @@ class NmeaFixes {
   struct Visible {
     std::array<char, 2> talker{};
     std::uint16_t signals = 0;  // of this round, a bit each
-    std::uint16_t told = 0;     // how many one signal has, at most
+    std::uint16_t told = 0;     // the largest number of satellites of one signal
     std::bitset<1000> numbers;
     std::uint16_t last_signals = 0;  // of the round before
     std::uint16_t last_count = 0;
@@ -82,13 +82,13 @@ class NmeaFixes {
   Draft draft_;
   std::array<unsigned, static_cast<std::size_t>(Sentence::count)> seen_{};                // in this fix, of each kind
   std::array<std::array<char, 2>, static_cast<std::size_t>(Sentence::count)> talkers_{};  // of the first of each
-  std::optional<SentencePosition> ends_with_;  // the last sentence of the fix before
+  std::optional<SentencePosition> ends_with_;  // the last sentence of the previous fix
   unsigned without_end_ = 0;                   // fixes in a row that had no such sentence
   std::optional<GpsFix> published_;            // the current fix, as it was published
   SentencePosition last_{};                    // sentence of this fix
   Time time_{};                                // at which that was read
   bool is_begun_ = false;
-  bool is_without_time_ = false;  // this fix: it was begun by a sentence that carries none
+  bool is_without_time_ = false;  // this fix began with a sentence without a time
   std::array<Visible, 8> visible_{};
 };
 

@@ -22,14 +22,14 @@ std::optional<Mistake> mistake_in_request(const Query::Config& config) {
   if (config.request.empty() && config.request_hex.empty())
     return Mistake{"request", "there is no request", "set `request` or `request_hex`"};
   if (!config.request.empty() && !config.request_hex.empty())
-    return Mistake{"request_hex", "there is a `request` too", "remove one of them"};
+    return Mistake{"request_hex", "there is also a `request`", "remove one of them"};
   const auto bytes = detail::bytes_of_hex(config.request_hex);
   if (!bytes || (config.request.empty() && bytes->empty()))
-    return Mistake{"request_hex", "these are not bytes", "two hexadecimal digits each, such as \"02 4d 0d\""};
+    return Mistake{"request_hex", "these are not bytes", "write two hexadecimal digits for each, such as \"02 4d 0d\""};
   return std::nullopt;
 }
 
-/// The answer, as lines that come by themselves.
+/// The settings of the answer, in the form of lines that a device sends by itself.
 LineConfig as_lines(const Query::Config& config) {
   LineConfig lines;
   lines.format = config.format;
@@ -63,10 +63,10 @@ void check_config(const Query::Config& config, const ConfigItem& item, Problems&
   detail::check_at_open(config.prepare_hex, item, problems, "prepare_hex");
   if (const ConfigItem* const at = item.find("prepare_wait");
       at != nullptr && config.prepare_wait > Duration{0} && config.prepare.empty() && config.prepare_hex.empty())
-    problems.add(at->problem("bad-value", "there is no `prepare` to wait for"));
+    problems.add(at->problem("bad-value", "`prepare_wait` needs `prepare`"));
   if (config.at_open_answers && config.at_open.empty() && config.at_open_hex.empty()) {
     const ConfigItem* const at = item.find("at_open_answers");
-    problems.add((at != nullptr ? *at : item).problem("bad-value", "there is no `at_open` to answer"));
+    problems.add((at != nullptr ? *at : item).problem("bad-value", "`at_open_answers` needs `at_open`"));
   }
   detail::check_lines_of(as_lines(config), detail::FrameCutter::Stream::of_one, item, problems);
 }
@@ -76,7 +76,7 @@ struct Query::Decoding {
     if (config.frame) cutter.emplace(*config.frame, longest_answer, detail::FrameCutter::Stream::of_one);
   }
   detail::LineDecoder decoder;
-  std::optional<detail::FrameCutter> cutter;  // none: the answer is a line
+  std::optional<detail::FrameCutter> cutter;  // empty: the answer is a line
 };
 
 Query::Query(const Config& config)
@@ -103,7 +103,7 @@ Result<void> Query::open(SerialDevice& line) {
   return {};
 }
 
-/// `of`: the setting that asked for it.
+/// `of`: the setting that caused the answer.
 Result<void> Query::drop_answer(SerialDevice& line, Answer answer, const char* of) {
   Result<std::string> got = answer == Answer::frame ? next_frame(line)
                                                     : line.read_until(config_.answer_end, {}, longest_answer);
@@ -123,7 +123,7 @@ Result<void> Query::prepare(SerialDevice& line) {
     if (auto done = drop_answer(line, decoding_->cutter && !is_text ? Answer::frame : Answer::line, "prepare"); !done)
       return done;
   }
-  // What comes meanwhile, such as that it has measured, is dropped by the request.
+  // The request drops anything received until then, such as a notice that the measurement is complete.
   if (!prepare_.empty()) detail::lane_sleep(config_.prepare_wait);
   return {};
 }
@@ -134,7 +134,7 @@ Result<std::string> Query::ask_for_frame(SerialDevice& line) {
   return next_frame(line);
 }
 
-/// The first frame that comes; what is before it is left out.
+/// The next frame; bytes before it are skipped.
 Result<std::string> Query::next_frame(SerialDevice& line) {
   detail::FrameCutter& cutter = *decoding_->cutter;
   cutter.reset();
@@ -155,8 +155,8 @@ Result<std::string> Query::next_frame(SerialDevice& line) {
       bytes.append(reinterpret_cast<const char*>(some.data()), *got);
     } else if (got.error().code == Errc::timed_out && bytes.size() + skipped != 0) {
       return line.error(Errc::timed_out, "no answer",
-                        std::to_string(bytes.size() + skipped) + " bytes came in " + to_string(line.answer_timeout()) +
-                            ", and no complete frame",
+                        std::to_string(bytes.size() + skipped) + " bytes came within " +
+                            to_string(line.answer_timeout()) + ", but no complete frame",
                         "check `frame`, and `baud_rate`");
     } else {
       return got.error();
@@ -164,7 +164,7 @@ Result<std::string> Query::next_frame(SerialDevice& line) {
   }
 }
 
-/// The port was opened again behind this driver's back, since the device was gone for a moment.
+/// The port was opened again without this driver, because the device was gone for a moment.
 Result<void> Query::open_if_lost(SerialDevice& line) {
   if (line.losses() == losses_ || at_open_.empty()) return {};
   if (auto done = line.drop_input(); !done) return done;
@@ -188,9 +188,9 @@ Reading<DescribedValue> Query::read_frame(SerialDevice& line) {
 }
 
 Unreadable Query::echoed(SerialDevice& line) {
-  return {line.error(Errc::bad_data, "cannot use an answer", "it echoes the request",
-                     "switch its echo off, or that of the adapter, or set `echo` of the bus; `skip_lines` 1 leaves a "
-                     "line out")};
+  return {line.error(
+      Errc::bad_data, "cannot use an answer", "it echoes the request",
+      "switch off the echo of the device or the adapter, or set `echo` of the bus, or set `skip_lines` to 1")};
 }
 
 Reading<DescribedValue> Query::decoded(SerialDevice& line, std::string_view answer) {

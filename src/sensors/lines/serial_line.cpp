@@ -45,7 +45,7 @@ class SerialLineNode final : public LineNode, private SerialSource::User {
       if (::write(source_->fd(), text.data(), text.size()) == static_cast<ssize_t>(text.size())) continue;
       const int number = errno;
       source_ = nullptr;
-      return system_error(number, "cannot send `at_open`", place(), "does the device take what it is sent?");
+      return system_error(number, "cannot send `at_open`", place(), "check that the device accepts data");
     }
     return source_->fd();
   }
@@ -70,17 +70,17 @@ class SerialLineNode final : public LineNode, private SerialSource::User {
     std::array<char, 1024> bytes;
     std::size_t dropped = 0;
     bool is_within_line = false;
-    constexpr int most_reads = 256;  // a device that sends all the time does not hold the loop
+    constexpr int most_reads = 256;  // a device that sends all the time must not block the loop
     for (int i = 0; i < most_reads; ++i) {
       const ssize_t got = ::read(fd, bytes.data(), bytes.size());
-      if (got <= 0) break;  // an error shows again
+      if (got <= 0) break;  // an error will appear again
       dropped += static_cast<std::size_t>(got);
       const char last = bytes[static_cast<std::size_t>(got) - 1];
       is_within_line = last != config().line_end && last != '\n' && last != '\r';
     }
     if (dropped > 0)
       loop()->runtime.log(LogLevel::info, object_name(),
-                          std::to_string(dropped) + " bytes that had waited when the sensor was started are left out");
+                          std::to_string(dropped) + " bytes that were waiting when the sensor started are skipped");
     return is_within_line;
   }
 

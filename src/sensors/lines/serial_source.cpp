@@ -17,7 +17,7 @@
 namespace rtdata::detail {
 namespace {
 
-/// The open lines of all loops. Only opening and closing look here.
+/// The open lines of all loops. Used only for opening and closing.
 struct OpenLines {
   std::mutex mutex;
   std::map<std::pair<const LoopCore*, std::string>, std::weak_ptr<SerialSource>> all;
@@ -46,8 +46,8 @@ Result<std::shared_ptr<SerialSource>> SerialSource::open(LoopCore& loop, const s
       if (auto source = known->second.lock()) {
         if (all_of(source->settings_) == all_of(settings)) return source;
         return Error{Errc::busy, "cannot open the serial line", device,
-                     "another sensor of this program has it with other settings",
-                     "give all sensors of this device the same `baud_rate` and so on"};
+                     "another sensor of this program uses it with different settings",
+                     "set the same `baud_rate` and other settings for all sensors of this device"};
       }
     }
   }
@@ -104,7 +104,7 @@ void SerialSource::on_ready(const FdEvent& event) {
 
 void SerialSource::give(std::string_view bytes, int error_number) {
   is_giving_ = true;
-  const std::size_t count = users_.size();  // one that is added meanwhile begins with the next bytes
+  const std::size_t count = users_.size();  // a user added meanwhile begins with the next bytes
   for (std::size_t i = 0; i < count; ++i)
     if (users_[i] != nullptr) users_[i]->take_bytes(bytes, error_number);
   is_giving_ = false;

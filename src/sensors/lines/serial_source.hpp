@@ -34,7 +34,7 @@ class SerialSource : public std::enable_shared_from_this<SerialSource> {
 
   int fd() const noexcept { return fd_; }
   bool has_users() const noexcept;
-  /// From now on it gets what is read.
+  /// From now on this user receives the bytes that are read.
   void add(User& user);
   void remove(User& user) noexcept;
 

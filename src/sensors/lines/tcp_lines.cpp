@@ -19,7 +19,7 @@ namespace rtdata {
 namespace detail {
 namespace {
 
-constexpr Duration silence_of_the_old = std::chrono::seconds{1};  // then a new connection replaces it
+constexpr Duration silence_of_the_old = std::chrono::seconds{1};  // after this time a new connection replaces it
 
 std::string place_of(const TcpLinesConfig& config) {
   return (config.listen.empty() ? config.host : config.listen) + " port " + std::to_string(config.port);
@@ -33,18 +33,18 @@ LineConfig lines_of(TcpLinesConfig& config) {
 
 std::optional<AddressMistake> mistake_in_tcp(const TcpLinesConfig& config) {
   if (!config.listen.empty()) {
-    if (!config.host.empty()) return AddressMistake{"listen", "there is a `host` too; remove one of them"};
+    if (!config.host.empty()) return AddressMistake{"listen", "there is also a `host`: remove one of them"};
     return mistake_in_addresses("listen", config.listen, config.from);
   }
-  if (config.host.empty()) return AddressMistake{"host", "there is no `host`, nor an address to `listen` at"};
+  if (config.host.empty()) return AddressMistake{"host", "there is neither a `host` nor an address to `listen` at"};
   if (std::string why = obstacle_of_host(config.host); !why.empty()) return AddressMistake{"host", std::move(why)};
-  if (!config.from.empty()) return AddressMistake{"from", "it is for sensors that `listen`"};
+  if (!config.from.empty()) return AddressMistake{"from", "it works only with `listen`"};
   return std::nullopt;
 }
 
 }  // namespace
 
-/// Sensors whose lines come by a TCP connection.
+/// Sensors that receive lines over a TCP connection.
 class TcpLinesNode : public LineNode {
  protected:
   TcpLinesNode(LoopCore& loop, const FeedConfig& feed, TcpLinesConfig& config)
@@ -55,7 +55,7 @@ class TcpLinesNode : public LineNode {
   void source_ended(int error_number) override { lose(lost(error_number), loop()->now()); }
   Error lost(int error_number) const {
     constexpr const char* what = "lost the connection";
-    if (error_number == 0) return {Errc::disconnected, what, place(), "the device has ended it", "check the device"};
+    if (error_number == 0) return {Errc::disconnected, what, place(), "the device has closed it", "check the device"};
     return system_error(error_number, what, place(), "check the device and the network");
   }
 };
@@ -114,7 +114,7 @@ class TcpServerNode final : public TcpLinesNode, private TcpListener::User {
     if (auto added = (*listener)->add(*this, from_); !added) return take(added.error());
     listener_ = *std::move(listener);
     lose({Errc::disconnected, "there is no connection", place(), "no device has connected yet",
-          "is it on, and does it connect to this address?"},
+          "check that the device is on, and that it connects to this address"},
          loop()->now());
   }
   void close_stream() noexcept override {
@@ -131,11 +131,11 @@ class TcpServerNode final : public TcpLinesNode, private TcpListener::User {
     if (listener_) listener_->remove(*this);
     listener_.reset();
   }
-  /// If there is one already, the second waits until it is known which is the device's.
+  /// If a connection exists, the second waits until it is known which one is the device's.
   void take_connection(int fd) override {
     Call call(*this);
     if (!has_source()) return use(fd);
-    if (waiting_ >= 0) return refuse(fd, "another device connects while one sends");
+    if (waiting_ >= 0) return refuse(fd, "another device connected while one is sending");
     waiting_ = fd;
     later_.start(silence_of_the_old);
   }
@@ -145,20 +145,21 @@ class TcpServerNode final : public TcpLinesNode, private TcpListener::User {
   }
   void refuse(int fd, const char* why) {
     ::close(fd);
-    report({Errc::busy, "closed a connection", place(), why, "give each device a sensor of its own"});
+    report({Errc::busy, "closed a connection", place(), why, "use a separate sensor for each device"});
   }
   void choose() {
     Call call(*this);
     const int fd = std::exchange(waiting_, -1);
     if (fd < 0) return;
     char byte = 0;
-    const bool has_ended = ::recv(fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT) == 0;  // a look at the port, and no device
+    const bool has_ended = ::recv(fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT) == 0;  // a port scan, not a device
     const bool is_old_silent = has_source() && loop()->now() - heard_at() >= silence_of_the_old;
-    if (has_ended) return refuse(fd, "it was ended at once");
-    if (has_source() && !is_old_silent) return refuse(fd, "another device connects while one sends");
+    if (has_ended) return refuse(fd, "it was closed at once");
+    if (has_source() && !is_old_silent) return refuse(fd, "another device connected while one is sending");
     if (has_source())
       lose({Errc::disconnected, "lost the connection", place(),
-            "another connection was made, and nothing has come on this one for 1 s", "the new one is used"},
+            "another connection was made, and nothing has come on this one for 1 s",
+            "check the old device; the new connection is used"},
            loop()->now());
     if (!is_running() || has_source()) {
       ::close(fd);  // a callback has stopped it
@@ -192,7 +193,7 @@ void check_config(const TcpLinesConfig& config, const ConfigItem& item, Problems
     problems.add((at != nullptr ? *at : item).problem(at != nullptr ? "bad-value" : "missing-key", mistake->why));
   }
   if (const ConfigItem* const at = item.find("connect_timeout"); at != nullptr && !config.listen.empty())
-    problems.add(at->problem("bad-value", "the device connects, for which it has any time; leave it out"));
+    problems.add(at->problem("bad-value", "with `listen`, the device makes the connection: remove `connect_timeout`"));
   detail::check_at_open(config.at_open_hex, item, problems);
   check_config(config.lines, item, problems);
 }

@@ -11,7 +11,7 @@
 namespace rtdata::detail {
 namespace {
 
-/// The ports of all loops. Only opening and closing look here.
+/// The ports of all loops. Used only for opening and closing.
 struct OpenPorts {
   std::mutex mutex;
   std::vector<std::pair<const LoopCore*, std::weak_ptr<TcpListener>>> all;
@@ -30,7 +30,8 @@ Result<int> listen_at(const IpAddress& address, const std::string& place) {
   const int number = errno;
   if (fd >= 0) ::close(fd);
   return system_error(number, "cannot listen on this port", place,
-                      number == EADDRINUSE ? "another program, or another sensor, has this port: `ss -tlp` shows which"
+                      number == EADDRINUSE ? "choose another port, or end the program that uses this one (`ss -tlp` "
+                                             "shows it); it may also be another sensor"
                                            : "check `listen` and `port`");
 }
 
@@ -71,8 +72,9 @@ Result<void> TcpListener::add(User& user, const std::optional<IpAddress>& from) 
     return from && other.from ? from->is_same_host(*other.from) : !from && !other.from;
   });
   if (is_taken)
-    return Error{Errc::busy, "cannot listen on this port", place_, "another sensor listens to the same devices on it",
-                 "set the `from` of each, or give each a port of its own"};
+    return Error{Errc::busy, "cannot listen on this port", place_,
+                 "another sensor listens for the same devices on this port",
+                 "set `from` of each sensor, or use a separate port for each"};
   devices_.push_back({&user, from});
   return {};
 }
@@ -108,7 +110,7 @@ void TcpListener::take() {
   if (device != devices_.end()) return device->user->take_connection(fd);
   ::close(fd);
   devices_.front().user->connection_refused(
-      {Errc::not_permitted, "closed a connection", place_, "it was not made by `from`", ""});
+      {Errc::not_permitted, "closed a connection", place_, "it did not come from the address `from`", ""});
 }
 
 }  // namespace rtdata::detail

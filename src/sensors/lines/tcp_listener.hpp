@@ -18,22 +18,23 @@ class TcpListener : public std::enable_shared_from_this<TcpListener> {
  public:
   class User {
    public:
-    /// A connection of its device; the descriptor is the user's.
+    /// A connection of this user's device. The user owns the descriptor.
     virtual void take_connection(int fd) = 0;
-    /// There was a connection that is nobody's, or that could not be taken. The first user gets it.
+    /// A connection belongs to no user or could not be accepted. The first user is told.
     virtual void connection_refused(Error why) = 0;
 
    protected:
     ~User() = default;
   };
 
-  /// The port that sensors of this loop have open, or a new one. `place`: in errors.
+  /// The port that sensors of this loop have opened, or a new port. `place`: for errors.
   static Result<std::shared_ptr<TcpListener>> open(LoopCore& loop, const IpAddress& address, const std::string& place);
   ~TcpListener();
   TcpListener(const TcpListener&) = delete;
   TcpListener& operator=(const TcpListener&) = delete;
 
-  /// `from`: who connects; empty: who is no other user's. Errors: busy (another user has the same).
+  /// `from`: the address of the device; empty: any address that no other user has. Errors: busy (another user has this
+  /// address).
   Result<void> add(User& user, const std::optional<IpAddress>& from);
   void remove(const User& user) noexcept;
 

@@ -19,36 +19,38 @@ namespace rtdata {
 namespace detail {
 namespace {
 
-// Read in one turn of the loop, at most: the lines in them stay below the capacity of a topic's ring.
+// The most datagrams read in one turn of the loop: their lines stay below the capacity of a topic's ring.
 constexpr std::size_t most_turn_bytes = 512;
 constexpr int most_turn_datagrams = 16;
-constexpr int buffer_size = 1 << 20;  // of the kernel, which may give less
+constexpr int buffer_size = 1 << 20;  // in the kernel, which may give less
 
-/// A socket that hears there, and does not block.
+/// A non-blocking socket that receives at this address.
 Result<int> open_udp(const IpAddress& address, const std::string& place) {
   const int fd = ::socket(address.storage.ss_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
   const auto failed = [&](const char* advice) {
     const int number = errno;
     if (fd >= 0) ::close(fd);
-    return system_error(number, "cannot hear on this port", place, advice);
+    return system_error(number, "cannot receive on this port", place, advice);
   };
-  if (fd < 0) return failed("does this machine have such addresses?");
+  if (fd < 0) return failed("check that this computer supports IPv4 or IPv6, as `address` needs");
   const int on = 1;
   ::setsockopt(fd, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
   ::setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &buffer_size, sizeof buffer_size);
-  if (address.is_group()) ::setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);  // others may hear it too
+  if (address.is_group())
+    ::setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);  // other programs may receive it too
   if (::bind(fd, address.get(), address.size) != 0)
-    return failed(errno == EADDRINUSE ? "another program, or another sensor, has this port: `ss -ulp` shows which"
+    return failed(errno == EADDRINUSE ? "choose another port, or end the program that uses this one (`ss -ulp` shows "
+                                        "it); it may also be another sensor"
                                       : "check `address` and `port`");
   if (!address.is_group()) return fd;
   if (address.is_v6()) {
     const ipv6_mreq group{address.v6().sin6_addr, 0};
     if (::setsockopt(fd, IPPROTO_IPV6, IPV6_JOIN_GROUP, &group, sizeof group) != 0)
-      return failed("is there a network that multicast goes through?");
+      return failed("check that a network interface supports multicast");
   } else {
     const ip_mreqn group{address.v4().sin_addr, {}, 0};
     if (::setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &group, sizeof group) != 0)
-      return failed("is there a network that multicast goes through?");
+      return failed("check that a network interface supports multicast");
   }
   return fd;
 }
@@ -68,7 +70,7 @@ class UdpLinesNode final : public LineNode {
                  config.address + " port " + std::to_string(config.port), "check what the device sends"),
         address_(*ip_address(config.address, config.port)) {
     if (!config.from.empty()) from_ = ip_address(config.from, 0);
-    buffer_.resize(UdpLinesConfig::longest_datagram + 1);  // and the end of its last line
+    buffer_.resize(UdpLinesConfig::longest_datagram + 1);  // plus the end of its last line
     set_stream();
   }
 
@@ -100,7 +102,7 @@ class UdpLinesNode final : public LineNode {
     LineNode::close_stream();
   }
   void source_ended(int error_number) override {
-    lose(system_error(error_number, "cannot hear on this port", place(), "check the network"), loop()->now());
+    lose(system_error(error_number, "cannot receive on this port", place(), "check the network"), loop()->now());
   }
 
   void read_datagrams(int fd) {
@@ -132,7 +134,7 @@ class UdpLinesNode final : public LineNode {
       if ((message.msg_flags & MSG_TRUNC) != 0) {
         fail({Errc::does_not_fit, "cannot use a datagram", place(),
               "it is longer than " + std::to_string(UdpLinesConfig::longest_datagram) + " bytes",
-              "let the device send less at once"});
+              "set the device to send smaller datagrams"});
         continue;
       }
       taken += static_cast<std::size_t>(got);
@@ -146,7 +148,7 @@ class UdpLinesNode final : public LineNode {
     take_bytes_read({buffer_.data(), size}, 0);
     if (has_source() && opening() == before) end_message();  // the next datagram may be of another sender
   }
-  /// Also of those behind which no datagram came.
+  /// Also finds dropped datagrams after which no datagram was received.
   void look_for_drops() {
     std::array<std::uint32_t, 16> numbers{};
     socklen_t size = sizeof numbers;
@@ -159,8 +161,8 @@ class UdpLinesNode final : public LineNode {
     if (more == 0) return;
     const Error error{Errc::backlog, "datagrams are lost", place(),
                       "the kernel has dropped " + std::to_string(more) + ": its buffer was full",
-                      "let the loop do less at once, or the device send less"};
-    // The numbers of the lines tell how many are missing; without them each datagram is one that could not be read.
+                      "find what holds the loop, or set the device to send less"};
+    // The numbers of the lines show how many are missing; without them each dropped datagram counts as unreadable.
     if (!config().sequence_field.empty()) {
       if (is_end) origin_.counts.lost += more;  // no number will follow
       return degrade(error);
@@ -206,7 +208,7 @@ ReadTime read_time(const UdpLinesConfig& config) { return read_time(config.lines
 
 UdpLines::UdpLines(Loop& loop, FeedConfig feed, UdpLinesConfig config) {
   const auto refuse = [&](std::string why) {
-    throw SetupError({Errc::bad_argument, "cannot hear on this port", "sensor " + feed.name, std::move(why),
+    throw SetupError({Errc::bad_argument, "cannot receive on this port", "sensor " + feed.name, std::move(why),
                       "check `address`, `port` and `from`"});
   };
   if (auto mistake = detail::mistake_in_addresses("address", config.address, config.from))

@@ -1,4 +1,4 @@
-// Modbus Application Protocol V1.1b3: 6.1 to 6.4 the functions that read. Orders of words are the devices' own.
+// Modbus Application Protocol V1.1b3: 6.1 to 6.4, the functions that read. The order of words depends on the device.
 #include "rtdata/sensors/modbus.hpp"
 
 #include <algorithm>
@@ -21,7 +21,7 @@ constexpr unsigned most_addresses = 65536;
 
 bool is_of_bits(ModbusTable table) { return table == ModbusTable::coil || table == ModbusTable::discrete; }
 
-/// Addresses that the field takes.
+/// The number of addresses of the field.
 unsigned width_of(const ModbusField& field) {
   if (is_of_bits(field.table)) return 1;
   return field.type == Kind::text ? field.registers.value_or(0)
@@ -36,7 +36,7 @@ Kind published_kind(const ModbusField& field) {
   return is_computed(field) ? Kind::f64 : field.type;
 }
 
-/// The same number of bits, with a sign for one without, and the other way round.
+/// The type of the same size: signed for an unsigned type, and the reverse.
 Kind other_sign(Kind kind) {
   switch (kind) {
     case Kind::i16:
@@ -56,12 +56,12 @@ Kind other_sign(Kind kind) {
   }
 }
 
-/// Whether registers of this type can hold it.
+/// True if registers of this type can hold the number.
 bool can_be_raw(Kind type, double number) {
   if (type == Kind::f32) return std::abs(number) <= std::numeric_limits<float>::max();
   if (!detail::is_integer_kind(type)) return std::isfinite(number);
   const int bits = static_cast<int>(8 * detail::size_of(type));
-  // 2^64 is the nearest double of the largest of 64 bits.
+  // 2^64 is the double nearest to the largest number of 64 bits.
   const double most = bits == 64 ? std::ldexp(1.0, bits) : std::ldexp(1.0, bits) - 1;
   return number == std::trunc(number) && number >= -std::ldexp(1.0, bits - 1) && number <= most;
 }
@@ -70,27 +70,30 @@ Error refused(const ModbusField& field, std::string why, std::string advice) {
   return {Errc::bad_argument, "cannot use this field", "field " + field.name, std::move(why), std::move(advice)};
 }
 
-/// What registers cannot be, beside where they are.
+/// Checks the registers, except their addresses.
 Result<void> check_registers(const ModbusField& field) {
   const std::string type(name_of(field.type));
   if (field.type == Kind::text) {
-    if (width_of(field) == 0) return refused(field, "a text needs its `registers`", "set how many it has");
+    if (width_of(field) == 0)
+      return refused(field, "a text needs `registers`", "set `registers` to the number of registers");
     if (is_computed(field) || field.bit || field.mask || !field.no_value.empty())
-      return refused(field, "a text is no number", "leave out what is for numbers: `scale`, `bit`, `no_value` ...");
+      return refused(field, "a text is not a number",
+                     "remove the settings for numbers: `scale`, `bit`, `no_value` ...");
     return {};
   }
-  if (detail::size_of(field.type) < 2) return refused(field, "registers hold no " + type, "choose another `type`");
+  if (detail::size_of(field.type) < 2)
+    return refused(field, "registers cannot contain a " + type, "choose another `type`");
   if (field.registers)
-    return refused(field, "only a text has `registers`", "leave it out; a " + type + " has its size");
+    return refused(field, "only a text can have `registers`", "remove it: a " + type + " has a fixed size");
   const auto bits = static_cast<unsigned>(8 * detail::size_of(field.type));
   if (field.bit && (!detail::is_integer_kind(field.type) || *field.bit >= bits))
     return refused(field, "a " + type + " has no bit " + std::to_string(*field.bit), "set `bit` or `type`");
   if (field.bit && (is_computed(field) || field.mask))
-    return refused(field, "a single bit is no number", "leave out what is for numbers: `scale`, `mask` ...");
+    return refused(field, "a single bit is not a number", "remove the settings for numbers: `scale`, `mask` ...");
   if (field.mask) {
     const bool is_unsigned = field.type == Kind::u16 || field.type == Kind::u32 || field.type == Kind::u64;
     if (!is_unsigned)
-      return refused(field, "a `mask` is for numbers without a sign", "set `type` to uint16 or the like");
+      return refused(field, "`mask` works only for numbers without a sign", "set `type` to uint16 or the like");
     if (*field.mask == 0 || (bits < 64 && *field.mask >> bits != 0))
       return refused(field, "a " + type + " has none of the bits of its `mask`, or not all", "set `mask`");
   }
@@ -98,8 +101,8 @@ Result<void> check_registers(const ModbusField& field) {
     return refused(field, "its scale is 0, or it is not a number", "set `scale`");
   for (const double none : field.no_value)
     if (!can_be_raw(field.type, none))
-      return refused(field, "registers of type " + type + " never hold its `no_value`",
-                     "set the raw number, before `scale` and `offset`");
+      return refused(field, "registers of type " + type + " can never contain its `no_value`",
+                     "set `no_value` to the raw number, before `scale` and `offset`");
   return {};
 }
 
@@ -107,7 +110,7 @@ Result<void> check_registers(const ModbusField& field) {
 
 Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config) {
   if (config.most_registers > ModbusDevice::most_registers)
-    return Error{Errc::bad_argument, "cannot use these fields", "", "a request has up to 125 registers",
+    return Error{Errc::bad_argument, "cannot use these fields", "", "a request can have at most 125 registers",
                  "set `most_registers`"};
   DescriptionBuilder builder("modbus");
   for (const ModbusField& field : config.fields) {
@@ -118,9 +121,9 @@ Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config
       return refused(field, "it goes beyond address 65535", "set another `address`");
     if (!is_of_bits(field.table) && width > config.most_registers)
       return refused(field,
-                     "it has " + std::to_string(width) + " registers, and a request may have " +
+                     "it has " + std::to_string(width) + " registers, but a request may have only " +
                          std::to_string(config.most_registers),
-                     "set `most_registers`; what changes between two requests would be half of each");
+                     "set a larger `most_registers`: with two requests, the value could be half old and half new");
     using Presence = DescriptionBuilder::Presence;
     if (published_kind(field) == Kind::text) {
       builder.text(field.name, 2 * std::size_t{width});
@@ -130,7 +133,7 @@ Result<std::shared_ptr<const Description>> Modbus::describe(const Config& config
     }
   }
   if (config.fields.empty())
-    return Error{Errc::bad_argument, "cannot use these fields", "", "there are none", "list them in `fields`"};
+    return Error{Errc::bad_argument, "cannot use these fields", "", "there are no fields", "list them in `fields`"};
   auto made = builder.build();
   if (made && (*made)->size() > max_payload_size)
     return Error{Errc::bad_argument, "cannot use these fields", "", "they need more than 4 KiB",
@@ -196,7 +199,7 @@ std::uint64_t Modbus::bits_of(std::span<const std::uint16_t> words, WordOrder or
 
 namespace {
 
-/// Up to the first NUL, without blanks at the end.
+/// The text up to the first NUL, without blanks at the end.
 std::string text_of(std::span<const std::uint16_t> words, WordOrder order) {
   std::string text;
   for (const std::uint16_t word : words) {
@@ -208,7 +211,7 @@ std::string text_of(std::span<const std::uint16_t> words, WordOrder order) {
   return text;
 }
 
-/// The number of this kind that has these bits.
+/// The number with these bits, of this kind.
 double number_of(Kind kind, std::uint64_t bits) {
   switch (kind) {
     case Kind::i16:
@@ -233,7 +236,7 @@ double number_of(Kind kind, std::uint64_t bits) {
 constexpr std::uint16_t no_exponent = 0x8000;
 constexpr int most_exponent = 10;  // SunSpec Device Information Model Specification, sunssf
 
-/// Whether the bits of a field are those by which the device says that it has none.
+/// True if the bits of a field mean that the device has no value.
 bool is_none(const ModbusField& field, std::uint64_t bits) {
   if (field.no_value.empty()) return false;
   const double raw = number_of(field.type, bits);
@@ -243,7 +246,7 @@ bool is_none(const ModbusField& field, std::uint64_t bits) {
          });
 }
 
-/// Those of the mask, moved down to the lowest.
+/// The bits of the mask, shifted down to bit 0.
 std::uint64_t masked(const ModbusField& field, std::uint64_t bits) {
   return field.mask ? (bits & *field.mask) >> std::countr_zero(*field.mask) : bits;
 }
@@ -255,7 +258,7 @@ Result<double> Modbus::decode(const ModbusField& field, std::span<const std::uin
   const double raw = number_of(field.type, masked(field, bits_of(words, field.word_order.value_or(order))));
   const double power = std::pow(10.0, std::abs(exponent));
   const double scaled = raw * field.scale;
-  // A division rounds once: 2301 of -1 is 230.1.
+  // A division rounds only once: 2301 with exponent -1 is 230.1.
   const double number = (exponent < 0 ? scaled / power : scaled * power) + field.offset;
   if (!std::isfinite(number))
     return Error{Errc::not_a_number, "cannot use a value", "field " + field.name, "it is not a number",
@@ -268,7 +271,7 @@ Modbus::Modbus(const Config& config)
   std::size_t size = 0;
   for (const Request& request : requests_) size += request.count;
   words_.resize(size);
-  /// The first of these addresses, which one request reads.
+  /// The position of these addresses, which are in one request.
   const auto find = [&](ModbusTable table, unsigned first, unsigned width) {
     std::size_t at = 0;
     for (const Request& request : requests_) {
@@ -276,7 +279,7 @@ Modbus::Modbus(const Config& config)
         return at + first - request.first;
       at += request.count;
     }
-    return size;  // there is none such
+    return size;  // not found
   };
   for (const ModbusField& field : config_.fields) {
     sources_.push_back({description_->find(field.name), find(field.table, field.address, width_of(field)),
@@ -310,7 +313,7 @@ Result<void> Modbus::put(DescribedValue& value, std::size_t index) const {
     exponent = static_cast<std::int16_t>(word);
     if (std::abs(exponent) > most_exponent)
       return Error{Errc::not_a_number, "cannot use a value", "field " + field.name,
-                   "its scale factor is " + std::to_string(exponent) + ", and those of SunSpec are -10 to 10",
+                   "its scale factor is " + std::to_string(exponent) + ", but scale factors of SunSpec are -10 to 10",
                    "check `scale_from`"};
   }
   const Result<double> number = decode(field, words, order, exponent);

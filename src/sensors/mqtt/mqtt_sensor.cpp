@@ -14,7 +14,7 @@ namespace rtdata {
 namespace detail {
 namespace {
 
-constexpr int most_unanswered = 1000;  // messages that the broker sends before it wants an answer
+constexpr int most_unanswered = 1000;  // messages that the broker sends before it waits for an answer
 constexpr Duration look_after = std::chrono::milliseconds{5};
 constexpr const char* topic_key = "$topic";
 constexpr const char* retained_key = "$retained";
@@ -124,7 +124,7 @@ class MqttNode final : public StreamNode {
   void was_lost(const Error& error) {
     if (is_open() && is_running()) lose(error, is_there() ? loop()->now() : began_);
   }
-  /// False: the connection is another, or none, now.
+  /// False: the connection has been replaced or closed.
   bool take_messages(MqttClient& client) {
     if (client.arrived == 0) return true;
     Call call(*this);
@@ -141,7 +141,7 @@ class MqttNode final : public StreamNode {
   }
   bool is_holding() const noexcept { return is_holding_; }
   static Error refusal(const std::string& what) {
-    return {Errc::not_permitted, "the broker refuses a subscription", what, "the broker says so in its answer",
+    return {Errc::not_permitted, "the broker refuses a subscription", what, "its answer says so",
             "check its access control and `topics`"};
   }
 
@@ -160,11 +160,12 @@ class MqttNode final : public StreamNode {
     loop()->call_own(object_name(), [&] { connection_->goodbye(); });
     is_holding_ = false;
   }
-  /// There was a connection with a subscription.
+  /// The connection and its subscriptions are ready.
   bool is_there() const noexcept { return !answer_.is_running(); }
   void give_up_waiting() {
     connection_->give_up({Errc::timed_out, "cannot connect", connection_->server(),
-                          "no answer in " + to_string(config_.broker.connect_timeout), "is it a broker of MQTT?"});
+                          "no answer within " + to_string(config_.broker.connect_timeout),
+                          "check that it is an MQTT broker"});
   }
 
   void take_message(const MqttClient::Message& message) {
@@ -176,7 +177,7 @@ class MqttNode final : public StreamNode {
     if (message.payload.size() > config_.max_message) {
       return fail({Errc::does_not_fit, "cannot use a message", message.topic,
                    "it is longer than " + std::to_string(config_.max_message) + " bytes",
-                   "`max_message` sets how long it may be"});
+                   "set a larger `max_message` if messages can be longer"});
     }
     std::string_view text = message.payload;
     while (!decoder_.has_bytes() && (text.ends_with('\n') || text.ends_with('\r'))) text.remove_suffix(1);
@@ -222,11 +223,11 @@ class MqttNode final : public StreamNode {
   Error not_stored() const {
     return {Errc::busy, "messages wait at the broker", connection_->server(),
             "sink " + config_.stored_by + " has not stored those that came",
-            "find out why; the broker sends them again"};
+            "find out why the sink stores nothing; the broker sends them again"};
   }
   Error silence_error() const override {
-    return {Errc::timed_out, "nothing comes", connection_->server(), "no message in " + to_string(config_.silence),
-            "check the sender; `silence` sets how long it may be silent"};
+    return {Errc::timed_out, "nothing comes", connection_->server(), "no message within " + to_string(config_.silence),
+            "check the sender; `silence` is how long it may be silent"};
   }
   void on_close() noexcept override {
     StreamNode::on_close();
@@ -242,10 +243,10 @@ class MqttNode final : public StreamNode {
   Timer stored_;
   MonotonicTime began_{};     // the attempt to connect
   unsigned connections_ = 0;  // that have ended
-  std::string refused_;       // subscriptions; empty: none
+  std::string refused_;       // the refused subscriptions; empty: none
   Time time_{};
   bool is_holding_ = false;
-  std::uint64_t stored_when_ = 0;  // the sink has stored so many
+  std::uint64_t stored_when_ = 0;  // answer when the sink has stored this number
   MonotonicTime held_since_{};
 };
 
@@ -301,7 +302,7 @@ std::string obstacle_of_filter(const std::string& filter) {
   }
   if (rest.empty()) return "it is empty";
   if (filter.find('\0') != std::string::npos || mosquitto_sub_topic_check(rest.c_str()) != MOSQ_ERR_SUCCESS)
-    return "MQTT has no such topics: + stands for a whole level, # for all below, at the end";
+    return "this is not an MQTT topic: + is for a whole level, # for all levels below, at the end";
   return "";
 }
 
@@ -316,7 +317,7 @@ std::vector<Mistake> mistakes_of(const MqttSensorConfig& config) {
     for (const TlsMistake& mistake : rtdata::mistakes_of(*config.broker.tls))
       add("tls", mistake.key + ": " + mistake.message);
   }
-  if (config.topics.empty()) add("topics", "there is none");
+  if (config.topics.empty()) add("topics", "there are no topics");
   for (const std::string& topic : config.topics)
     if (std::string why = obstacle_of_filter(topic); !why.empty()) add("topics", "\"" + topic + "\": " + why);
   if (all.empty()) {
@@ -324,22 +325,23 @@ std::vector<Mistake> mistakes_of(const MqttSensorConfig& config) {
       for (std::size_t k = 0; k < i; ++k) {
         const std::string both = topic_of_both(config.topics[k], config.topics[i]);
         if (both.empty()) continue;
-        add("topics", "\"" + config.topics[k] + "\" and \"" + config.topics[i] + "\" both match \"" + both +
-                          "\", and the broker sends such a message once for each: leave one out, or give each a "
-                          "sensor of its own");
+        add("topics",
+            "\"" + config.topics[k] + "\" and \"" + config.topics[i] + "\" both match \"" + both +
+                "\", and the broker sends such a message once for each: remove one, or use a separate sensor for each");
       }
     }
   }
   for (auto& [key, why] : mistakes_of_client(config.broker)) add(key, std::move(why));
-  if (config.qos > 2) add("qos", "it is 0, 1 or 2");
+  if (config.qos > 2) add("qos", "it must be 0, 1 or 2");
   if (config.session > Duration{0} && config.broker.client_id.empty())
-    add("session", "the broker recognises this sensor by `client_id`: set it");
+    add("session", "set `client_id`: the broker recognises this sensor by it");
   if (!config.stored_by.empty() && config.qos != 1)
-    add("stored_by", "only with `qos` 1 the broker waits for an answer to each message");
+    add("stored_by", "it works only with `qos` 1: only then the broker waits for a confirmation");
   for (const LineField& field : config.fields) {
-    if (field.key == topic_key && field.type != Kind::text) add("fields", "\"$topic\" is a text: make its `type` text");
+    if (field.key == topic_key && field.type != Kind::text)
+      add("fields", "\"$topic\" is a text: set its `type` to text");
     if (field.key == retained_key && field.type != Kind::boolean)
-      add("fields", "\"$retained\" is true or false: make its `type` bool");
+      add("fields", "\"$retained\" is true or false: set its `type` to bool");
   }
   try {
     const LineDecoder decoder = decoder_of(config);

@@ -52,7 +52,8 @@ Result<std::shared_ptr<const Description>> describe_channels(const std::vector<C
   const auto refused = [](std::string why, std::string advice) {
     return Error{Errc::bad_description, "cannot use these channels", "channels", std::move(why), std::move(advice)};
   };
-  if (channels.size() > most_channels) return refused("there are more than 8 channels", "make another sensor");
+  if (channels.size() > most_channels)
+    return refused("there are more than 8 channels", "put some of them into another sensor");
   DescriptionBuilder builder("adc");
   for (const Channel& channel : channels) builder.field(field_of(channel), Kind::f64, "V", presence);
   auto made = builder.build();
@@ -69,7 +70,7 @@ Result<std::size_t> find_input(const Inputs& inputs, std::string_view input, std
     all += (i == 0 ? "" : i + 1 == inputs.size() ? " and " : ", ") + std::string(inputs[i]);
   }
   return Error{Errc::bad_argument, "cannot use this channel", "channels[" + std::to_string(at) + "].input",
-               "it has no input \"" + std::string(input) + "\"", "its inputs are " + all};
+               "it has no input \"" + std::string(input) + "\"", "choose one of its inputs: " + all};
 }
 
 }  // namespace detail
