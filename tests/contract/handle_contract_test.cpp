@@ -475,19 +475,24 @@ struct OfMqttSensor {
 struct OfReplay {
   using Type = Replay;  // its callback hears of the end, which comes once
   static constexpr bool is_called_once = true;
-  OfReplay() {
-    Loop loop(Loop::Manual{});
-    be_quiet(loop);
-    SqliteSink recording(loop, {.path = directory / "run.db"});
-    loop.topic<Climate>("t").publish({});
+  /// Of one event.
+  static const std::string& recording() {
+    static const sinks::Directory directory;
+    static const std::string path = [] {
+      Loop loop(Loop::Manual{});
+      be_quiet(loop);
+      SqliteSink sink(loop, {.path = directory / "run.db"});
+      loop.topic<Climate>("t").publish({});
+      return directory / "run.db";
+    }();
+    return path;
   }
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.file = directory / "run.db"});
+    Type made(loop, {.file = recording()});
     made.on_done([f = probe.callback()](const Result<void>&) mutable { f(); });
     return made;
   }
   void provoke(Loop&, Type&) {}
-  sinks::Directory directory;
 };
 
 // Each of the sinks fails with what it is given, and tries again at once.
@@ -592,7 +597,7 @@ struct OfPostgresqlSink : OfSink {
       OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfVerticalSensor, OfPpsSensor, OfIioBufferSensor,     \
       OfCommandSensor, OfUdpLines, OfTcpLines, OfReplay, OfSink, OfFileSink, OfSqliteSink, OfConsoleSink, OfTcpSink, \
       OfUdpSink HTTP_HANDLES MQTT_HANDLES POSTGRESQL_HANDLES
-/// Of these, those with a verb `finish`, and others that are given something to call.
+/// Of these, those that have a verb `finish`, and others that are given something to call; a kind each of sinks.
 #define FINISHED OfOutput, OfController, OfSink, OfFileSink, OfConsoleSink, OfTcpSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
