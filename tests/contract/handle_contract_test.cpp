@@ -472,8 +472,9 @@ struct OfMqttSensor {
 #define MQTT_HANDLES
 #endif
 
+/// Its callback hears of the end, which comes once: of rule 8, that it is called again after it threw does not apply.
 struct OfReplay {
-  using Type = Replay;  // its callback hears of the end, which comes once
+  using Type = Replay;
   static constexpr bool is_called_once = true;
   /// Of one event.
   static const std::string& recording() {
