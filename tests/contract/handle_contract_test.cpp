@@ -531,7 +531,7 @@ struct OfFileSink {
 struct OfSqliteSink : OfSink {
   using Type = SqliteSink;  // somebody else has made the table
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.path = directory / "run.db", .sink = hasty_sink()});
+    Type made(loop, {.path = directory / "run.db", .profile = SqliteProfile::fast, .sink = hasty_sink()});
     sqlite::Database::open(directory / "run.db", sqlite::Database::Mode::write).execute("CREATE TABLE t (x)");
     return heard(std::move(made), probe);
   }
@@ -604,7 +604,7 @@ struct OfPostgresqlSink : OfSink {
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>
 bool turn(Loop& loop, Done done) {
-  for (int turns = 0; turns < 500; ++turns) {
+  for (int turns = 0; turns < 20'000; ++turns) {
     if (done()) return true;
     loop.run_for(200us);
   }
