@@ -62,10 +62,7 @@ class HostLookup::Job final : public LaneJob {
 HostLookup::HostLookup(LoopCore& loop, std::string owner, Found found)
     : loop_(loop), owner_(std::move(owner)), found_(std::move(found)) {}
 
-HostLookup::~HostLookup() {
-  cancel();
-  if (lane_ != nullptr && !last_job_.expired()) lane_->abandon_thread();  // does not wait for a silent name server
-}
+HostLookup::~HostLookup() { end(); }
 
 void HostLookup::start(const std::string& host, std::uint16_t port) {
   cancel();
@@ -90,6 +87,12 @@ void HostLookup::start(const std::string& host, std::uint16_t port) {
 void HostLookup::cancel() noexcept {
   if (job_ != nullptr) job_->owner = nullptr;
   job_ = nullptr;
+}
+
+void HostLookup::end() noexcept {
+  cancel();
+  if (lane_ != nullptr && !last_job_.expired()) lane_->abandon_thread();
+  lane_ = nullptr;
 }
 
 void HostLookup::wait(Duration at_most) {

@@ -38,6 +38,8 @@ class HostLookup {
   /// A numeric address is not looked up, nor is "localhost", which is ::1, then 127.0.0.1.
   void start(const std::string& host, std::uint16_t port);
   void cancel() noexcept;
+  /// The same, for good: before the loop is gone. Does not wait for a silent name server.
+  void end() noexcept;
   bool is_under_way() const noexcept { return job_ != nullptr; }
   /// Blocks until it is found, for `at_most`. For set-up only.
   void wait(Duration at_most);

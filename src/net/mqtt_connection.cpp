@@ -321,7 +321,7 @@ MqttConnection::~MqttConnection() {
   if (job_ != nullptr) job_->forget();
   if (watch_.is_open()) watch_.close();
   if (fd_ >= 0) ::close(fd_);
-  if (lane_ != nullptr && !last_job_.expired()) lane_->abandon_thread();  // does not wait for a silent server
+  end_lane();
 }
 
 std::string MqttConnection::peer() const { return broker_.host + " port " + std::to_string(port_of(broker_)); }
@@ -488,6 +488,12 @@ void MqttConnection::end() {
   leave();
   more_.close();
   upkeep_.close();
+  end_lane();  // it must not outlive the loop
+}
+
+void MqttConnection::end_lane() noexcept {
+  if (lane_ != nullptr && !last_job_.expired()) lane_->abandon_thread();  // does not wait for a silent server
+  lane_ = nullptr;
 }
 
 }  // namespace rtdata::detail

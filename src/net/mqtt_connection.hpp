@@ -138,6 +138,7 @@ class MqttConnection : public std::enable_shared_from_this<MqttConnection> {
   bool take_answer(int status);
   bool try_older();
   void watch();
+  void end_lane() noexcept;
 
   const MqttBroker broker_;
   const MqttOptions options_;

@@ -147,6 +147,11 @@ void TcpStream::close() noexcept {
   drop_socket();
 }
 
+void TcpStream::end() noexcept {
+  close();
+  lookup_.end();
+}
+
 ssize_t TcpStream::read(char* to, std::size_t most) noexcept { return ::recv(fd_, to, most, MSG_DONTWAIT); }
 
 bool TcpStream::send(std::string_view text) noexcept {

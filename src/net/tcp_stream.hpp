@@ -42,6 +42,8 @@ class TcpStream {
   /// Blocks until `opened` has been called, for `at_most`. For set-up only.
   void wait(Duration at_most);
   void close() noexcept;
+  /// The same, for good: before the loop is gone.
+  void end() noexcept;
   /// The socket of an open connection, which is the caller's from now on; the stream is closed.
   int release() noexcept;
   /// As read(2), never blocks.

@@ -52,7 +52,8 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
         lease_(loop, {.name = name()}, [this] { look_at_lease(); }),
         retry_(loop, {.name = name()}, [this] { try_again(); }),
         patience_(loop, {.name = name()}, [this] { miss_answer(); }),
-        turning_(loop, {.name = name()}, [this] { look_at_loops(); }) {
+        turning_(loop, {.name = name()}, [this] { look_at_loops(); }),
+        telling_(loop, {.name = name()}, [this] { tell(); }) {
     set_numbered();  // it makes its events itself
     if (!config_.on.empty()) input_.emplace(config_);
   }
@@ -180,7 +181,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   double safe_value() const noexcept { return config_.safe; }
   bool is_armed() const noexcept { return is_armed_; }
   void when_published(Callback<void()> done) {
-    if (published_armed_ == is_armed_) return loop()->post(std::move(done));
+    if (published_armed_ == is_armed_) return tell_later(std::move(done));
     waiting_.push_back(std::move(done));
   }
   void when_taken(Callback<void(Result<void>)> done) {
@@ -351,7 +352,17 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   }
   void report_taken() {
     for (Callback<void(Result<void>)>& done : std::exchange(when_taken_, {}))
-      loop()->post([done = std::move(done), result = taken_]() mutable { done(std::move(result)); });
+      tell_later([done = std::move(done), result = taken_]() mutable { done(std::move(result)); });
+  }
+  /// In a later turn, unless it is closed before.
+  void tell_later(Callback<void()> done) {
+    told_later_.push_back(std::move(done));
+    telling_.start(Duration{0});
+  }
+  void tell() {
+    Call call(*this);
+    for (Callback<void()>& done : std::exchange(told_later_, {}))
+      if (is_open()) loop()->call_own(name(), [&] { done(); });
   }
   void give_back() noexcept {
     try {
@@ -404,7 +415,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (is_open()) report_ended();
   }
   void report_ended() {
-    for (Callback<void()>& done : std::exchange(ended_, {})) loop()->post(std::move(done));
+    for (Callback<void()>& done : std::exchange(ended_, {})) tell_later(std::move(done));
   }
 
   /// Requests the value, or records that there is nothing to do.
@@ -714,25 +725,28 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
     if (!is_running()) return;
     take_sample(&change, loop()->runtime.event_time(now()));
     published_armed_ = change.armed;
-    for (Callback<void()>& waits : std::exchange(waiting_, {})) loop()->post(std::move(waits));
+    for (Callback<void()>& waits : std::exchange(waiting_, {})) tell_later(std::move(waits));
   }
 
   void on_close() noexcept override {
     give_back();
     subscriptions_.clear();
-    waiting_.clear();
-    when_taken_.clear();
-    for (Timer* timer : {&stale_, &lease_, &retry_, &patience_, &turning_}) timer->close();
+    for (Timer* timer : {&stale_, &lease_, &retry_, &patience_, &turning_, &telling_}) timer->close();
     beat_.close();
     FeedNode::on_close();
     port_.reset();
+  }
+  void drop_callbacks() noexcept override {
+    FeedNode::drop_callbacks();
+    for (auto* all : {&waiting_, &ended_, &told_later_}) all->clear();
+    when_taken_.clear();
   }
 
   const OutputConfig config_;
   const MakeActuator make_;
   const OutputRange range_;
   std::optional<OutputInput> input_;
-  Timer stale_, lease_, retry_, patience_, turning_;
+  Timer stale_, lease_, retry_, patience_, turning_, telling_;
   TurnWatch turns_;
   Ticker beat_;
   std::vector<Subscription> subscriptions_;
@@ -745,6 +759,7 @@ class OutputNode final : public FeedNode, private OutputPort::Listener {
   Result<void> taken_;                     // an error: the device could not be opened
   std::vector<Callback<void()>> ended_;    // called when `finish` is complete
   std::vector<Callback<void()>> waiting_;  // for an event that says whether it is armed
+  std::vector<Callback<void()>> told_later_;
   MonotonicTime last_set_{}, last_input_{}, last_beat_{}, turning_since_{}, sent_{};
   const LoopCore* hanging_ = nullptr;  // on which it depends
   State state_ = State::stopped;

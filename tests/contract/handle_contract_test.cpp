@@ -1,6 +1,7 @@
 // The rules of handle.hpp, each one test run over every type of handle. A new type is one more entry below and in
 // HANDLES: docs_test.py holds the public headers to that, but for those that it has a reason to leave out.
 #include <doctest/doctest.h>
+#include <fcntl.h>
 #include <sys/socket.h>
 #include <unistd.h>
 #include <uv.h>
@@ -12,19 +13,24 @@
 #include <memory>
 #include <optional>
 #include <stdexcept>
+#include <string>
 #include <type_traits>
 #include <vector>
 
 #include "contract/host.hpp"
 #include "data/payloads.hpp"
 #include "loop/core/loop_core.hpp"
+#include "recording/database.hpp"
 #include "rtdata/chips/lm75.hpp"
 #include "rtdata/fsm/machine.hpp"
 #include "rtdata/loop/runtime.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
 #include "rtdata/outputs/output.hpp"
+#include "rtdata/recording/replay.hpp"
+#include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/analog.hpp"
+#include "rtdata/sensors/command.hpp"
 #include "rtdata/sensors/counter.hpp"
 #include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/driver.hpp"
@@ -36,15 +42,36 @@
 #include "rtdata/sensors/iio.hpp"
 #include "rtdata/sensors/levels.hpp"
 #include "rtdata/sensors/limit.hpp"
+#include "rtdata/sensors/lines.hpp"
+#include "rtdata/sensors/pps.hpp"
 #include "rtdata/sensors/serial_line.hpp"
+#include "rtdata/sensors/tcp_lines.hpp"
 #include "rtdata/sensors/trigger.hpp"
+#include "rtdata/sensors/udp_lines.hpp"
+#include "rtdata/sensors/vertical.hpp"
 #include "rtdata/sensors/w1.hpp"
+#include "rtdata/sinks/console.hpp"
+#include "rtdata/sinks/file.hpp"
 #include "rtdata/sinks/sink.hpp"
+#include "rtdata/sinks/tcp.hpp"
+#include "rtdata/sinks/udp.hpp"
 #include "rtdata/testing/fake_gpio.hpp"
 #include "rtdata/testing/fake_i2c.hpp"
 #include "sensors/fake_gpsd.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/pty.hpp"
+#include "sinks/sink_kinds.hpp"
+#ifdef RTDATA_WITH_HTTP
+#include "rtdata/sensors/http.hpp"
+#include "rtdata/sinks/http.hpp"
+#endif
+#ifdef RTDATA_WITH_MQTT
+#include "rtdata/sensors/mqtt.hpp"
+#include "rtdata/sinks/mqtt.hpp"
+#endif
+#ifdef RTDATA_WITH_POSTGRESQL
+#include "rtdata/postgresql/sink.hpp"
+#endif
 
 using namespace rtdata;
 using namespace rtdata::literals;
@@ -69,6 +96,13 @@ struct Probe {
     };
   }
 };
+
+/// The probe's callback is the handler of its errors.
+template <class Type>
+Type heard(Type made, Probe& probe) {
+  made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
+  return made;
+}
 
 // An entry: how to make a handle whose callback is the probe's, and how to make it be called again and again.
 
@@ -158,36 +192,28 @@ struct OfFeed {
 struct OfAnalogSensor {
   using Type = AnalogSensor;  // on a lane; as with those below, its callback is the handler of its errors
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "a", .rate = 1_kHz}, {.file = "/nowhere/in_voltage0_raw"});
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "a", .rate = 1_kHz}, {.file = "/nowhere/in_voltage0_raw"}), probe);
   }
   void provoke(Loop&, Type&) {}
 };
 struct OfEncoderSensor {
   using Type = EncoderSensor;  // as the one before: there is no such counter
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "e", .rate = 1_kHz}, {.root = "/nowhere"});
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "e", .rate = 1_kHz}, {.root = "/nowhere"}), probe);
   }
   void provoke(Loop&, Type&) {}
 };
 struct OfW1Sensor {
   using Type = W1Sensor;  // as the one before: there is no such thermometer
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "w", .rate = 1_kHz}, {.device = "28-1", .root = "/nowhere"});
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "w", .rate = 1_kHz}, {.device = "28-1", .root = "/nowhere"}), probe);
   }
   void provoke(Loop&, Type&) {}
 };
 struct OfDerivedSensor {
   using Type = DerivedSensor;  // it divides by the zero that it is given
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "d"}, {.on = "zeros", .expression = "1 / temperature"});
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "d"}, {.on = "zeros", .expression = "1 / temperature"}), probe);
   }
   void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
 };
@@ -195,18 +221,14 @@ struct OfTriggerSensor {
   using Type = TriggerSensor;  // its condition divides by zero
   Type make(Loop& loop, Probe& probe) {
     (void)loop.topic<Climate>("zeros");
-    Type made(loop, {.name = "trigger"}, {.on = "zeros", .when = "1 / temperature > 0"});
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "trigger"}, {.on = "zeros", .when = "1 / temperature > 0"}), probe);
   }
   void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
 };
 struct OfLimitSensor {
   using Type = LimitSensor;  // the topic has no such number
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "l"}, {.on = "zeros", .field = "none", .high = 1});
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "l"}, {.on = "zeros", .field = "none", .high = 1}), probe);
   }
   void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
 };
@@ -238,9 +260,7 @@ struct OfOutput {
     }
   };
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "output"}, [] { return std::make_unique<Refusing>(); });
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "output"}, [] { return std::make_unique<Refusing>(); }), probe);
   }
   void provoke(Loop& loop, Type& handle) {
     // Again and again: what has failed takes no value until it is safe.
@@ -248,31 +268,39 @@ struct OfOutput {
   }
   Ticker ticker;
 };
+/// It controls its input with a PID controller.
+struct OfController {
+  using Type = Output;
+  Type make(Loop& loop, Probe& probe) {
+    (void)loop.topic<Climate>("t");
+    return heard(Type(loop, {.name = "controller", .on = "t", .expression = "temperature", .pid = PidConfig{.kp = 1}},
+                      [] { return std::make_unique<OfOutput::Refusing>(); }),
+                 probe);
+  }
+  void provoke(Loop& loop, Type&) {
+    ticker = Ticker(loop, 1ms, [&loop](const Tick&) { loop.topic<Climate>("t").publish({-1, 0}); });
+  }
+  Ticker ticker;
+};
 struct OfIioSensor {
   using Type = IioSensor;
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "i", .rate = 1_kHz}, {.device = "adc", .channels = {"voltage0"}, .root = "/nowhere"});
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(
+        Type(loop, {.name = "i", .rate = 1_kHz}, {.device = "adc", .channels = {"voltage0"}, .root = "/nowhere"}),
+        probe);
   }
   void provoke(Loop&, Type&) {}
 };
 struct OfDriverSensor {
   using Type = DriverSensor<Lm75>;  // on a bus without a chip
-  Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "d", .rate = 1_kHz}, bus);
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
-  }
+  Type make(Loop& loop, Probe& probe) { return heard(Type(loop, {.name = "d", .rate = 1_kHz}, bus), probe); }
   void provoke(Loop&, Type&) {}
   I2cBus bus{"i2c1", std::make_shared<FakeI2c>()};
 };
 struct OfLevelsSensor {
   using Type = LevelsSensor;  // of a chip that is not there
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "v", .rate = 1_kHz}, {.lines = {{.name = "x", .line = 3}}}, pins);
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "v", .rate = 1_kHz}, {.lines = {{.name = "x", .line = 3}}}, pins), probe);
   }
   void provoke(Loop&, Type&) {}
   std::shared_ptr<FakeGpio> pins = std::make_shared<FakeGpio>();
@@ -284,9 +312,8 @@ struct OfHostSensor {
     std::ofstream(directory.file("proc/stat")) << "no numbers\n";
   }
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "h", .rate = 1_kHz}, {.quantity = HostQuantity::cpu, .root = directory.file("")});
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "h", .rate = 1_kHz}, {.quantity = HostQuantity::cpu, .root = directory.file("")}),
+                 probe);
   }
   void provoke(Loop&, Type&) {}
   ScratchDirectory directory;
@@ -295,10 +322,9 @@ struct OfSerialLineSensor {
   using Type = SerialLineSensor;
   OfSerialLineSensor() { pty.plug_in(); }
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "l"},
-              {.device = pty.path(), .lines = {.fields = {{.name = "value"}}, .first_line = FirstLine::keep}});
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "l"},
+                      {.device = pty.path(), .lines = {.fields = {{.name = "value"}}, .first_line = FirstLine::keep}}),
+                 probe);
   }
   void provoke(Loop&, Type&) { REQUIRE(pty.send("no number\n") > 0); }
   ScratchDirectory directory;
@@ -307,9 +333,7 @@ struct OfSerialLineSensor {
 struct OfGpsSensor {
   using Type = GpsSensor;
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "g"}, {.host = "127.0.0.1", .port = gpsd.port()});
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "g"}, {.host = "127.0.0.1", .port = gpsd.port()}), probe);
   }
   void provoke(Loop&, Type&) {
     gpsd.accept();
@@ -340,9 +364,8 @@ struct OfGpioEdges : OfGpio {
 struct OfEdgeSensor : OfGpio {
   using Type = EdgeSensor;  // its callback is the handler of its errors: the chip goes away
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "e"}, {.input = {.line = 2}, .retry_first = 1ms, .retry_longest = 1ms}, pins);
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "e"}, {.input = {.line = 2}, .retry_first = 1ms, .retry_longest = 1ms}, pins),
+                 probe);
   }
   void provoke(Loop&, Type&) {
     pins->unplug("gpiochip0", true);
@@ -352,12 +375,129 @@ struct OfEdgeSensor : OfGpio {
 struct OfCounterSensor : OfGpio {
   using Type = CounterSensor;
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "n", .rate = 1_kHz}, {.input = {.line = 3}}, pins);
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "n", .rate = 1_kHz}, {.input = {.line = 3}}, pins), probe);
   }
   void provoke(Loop&, Type&) { pins->unplug("gpiochip0", true); }
 };
+struct OfVerticalSensor {
+  using Type = VerticalSensor;  // what the topic has is no height
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.name = "v"}, {.barometer = "zeros", .height = "humidity"}), probe);
+  }
+  void provoke(Loop& loop, Type&) { loop.topic<Climate>("zeros").publish({}); }
+};
+
+// Of devices that are not there, and are looked for again and again.
+
+struct OfPpsSensor {
+  using Type = PpsSensor;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.name = "p"}, {.root = "/nowhere", .retry_first = 1ms, .retry_longest = 1ms}), probe);
+  }
+  void provoke(Loop&, Type&) {}
+};
+struct OfIioBufferSensor {
+  using Type = IioBufferSensor;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(
+        Type(loop, {.name = "b"},
+             {.device = "adc", .channels = {"voltage0"}, .root = "/nowhere", .retry_first = 1ms, .retry_longest = 1ms}),
+        probe);
+  }
+  void provoke(Loop&, Type&) {}
+};
+const LineConfig hasty_lines = {.fields = {{.name = "value"}}, .retry_first = 1ms, .retry_longest = 1ms};
+struct OfCommandSensor {
+  using Type = CommandSensor;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.name = "c"}, {.run = {"/nowhere/program"}, .lines = hasty_lines}), probe);
+  }
+  void provoke(Loop&, Type&) {}
+};
+struct OfUdpLines {
+  using Type = UdpLines;  // this machine has no such address
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.name = "u"}, {.port = 5005, .address = "192.0.2.1", .lines = hasty_lines}), probe);
+  }
+  void provoke(Loop&, Type&) {}
+};
+/// A port of this machine at which nobody listens.
+struct RefusedPort {
+  RefusedPort() { server.vanish(); }
+  std::uint16_t port() const { return server.port(); }
+  std::string url() const { return "http://127.0.0.1:" + std::to_string(port()) + "/"; }
+
+ private:
+  FakeGpsd server;
+};
+struct OfTcpLines {
+  using Type = TcpLines;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.name = "l"}, {.host = "127.0.0.1", .port = refused.port(), .lines = hasty_lines}), probe);
+  }
+  void provoke(Loop&, Type&) {}
+  RefusedPort refused;
+};
+#ifdef RTDATA_WITH_HTTP
+struct OfHttpSensor {
+  using Type = HttpSensor;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(
+        Type(loop, {.name = "h", .rate = 1_kHz}, {.server = {.url = refused.url()}, .fields = {{.name = "v"}}}), probe);
+  }
+  void provoke(Loop&, Type&) {}
+  RefusedPort refused;
+};
+#define HTTP_HANDLES , OfHttpSensor, OfHttpSink
+#else
+#define HTTP_HANDLES
+#endif
+#ifdef RTDATA_WITH_MQTT
+struct OfMqttSensor {
+  using Type = MqttSensor;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.name = "m"},
+                      {.broker = {.host = "127.0.0.1", .port = refused.port()},
+                       .topics = {"a"},
+                       .fields = {{.name = "v"}},
+                       .retry_first = 1ms,
+                       .retry_longest = 1ms}),
+                 probe);
+  }
+  void provoke(Loop&, Type&) {}
+  RefusedPort refused;
+};
+#define MQTT_HANDLES , OfMqttSensor, OfMqttSink
+#else
+#define MQTT_HANDLES
+#endif
+
+/// Its callback hears of the end, which comes once: of rule 8, that it is called again after it threw does not apply.
+struct OfReplay {
+  using Type = Replay;
+  static constexpr bool is_called_once = true;
+  /// Of one event.
+  static const std::string& recording() {
+    static const sinks::Directory directory;
+    static const std::string path = [] {
+      Loop loop(Loop::Manual{});
+      be_quiet(loop);
+      SqliteSink sink(loop, {.path = directory / "run.db"});
+      loop.topic<Climate>("t").publish({});
+      return directory / "run.db";
+    }();
+    return path;
+  }
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.file = recording()});
+    made.on_done([f = probe.callback()](const Result<void>&) mutable { f(); });
+    return made;
+  }
+  void provoke(Loop&, Type&) {}
+};
+
+// Each of the sinks fails with what it is given, and tries again at once.
+
 struct OfSink {
   using Type = Sink;
   struct Broken final : Writer {
@@ -365,26 +505,106 @@ struct OfSink {
     Result<void> write(Batch&) override { return Error{Errc::storage_full, "cannot store", "", "", ""}; }
   };
   Type make(Loop& loop, Probe& probe) {
-    Type made(loop, {.name = "broken", .close_deadline = 0ns}, std::make_unique<Broken>());
-    made.on_error([f = probe.callback()](const ErrorReport&) mutable { f(); });
-    return made;
+    return heard(Type(loop, {.name = "broken", .close_deadline = 0ns}, std::make_unique<Broken>()), probe);
   }
-  void provoke(Loop& loop, Type& handle) {
+  void provoke(Loop& loop, Sink& handle) {
     loop.topic<Climate>("t").publish({});
     handle.flush();
   }
 };
+SinkConfig hasty_sink() { return {.name = "sink", .retry_first = 1ms, .retry_longest = 1ms, .close_deadline = 10ms}; }
+struct OfFileSink {
+  using Type = FileSink;  // raw bytes have no absent values
+  struct Absent {
+    std::optional<double> value;
+    RTDATA_FIELDS(Absent, (value))
+  };
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.path = directory / "run", .format = "raw", .sink = hasty_sink()}), probe);
+  }
+  void provoke(Loop& loop, Type& handle) {
+    loop.topic<Absent>("t").publish({});
+    handle.flush();
+  }
+  sinks::Directory directory;
+};
+struct OfSqliteSink : OfSink {
+  using Type = SqliteSink;  // somebody else has made the table
+  Type make(Loop& loop, Probe& probe) {
+    Type made(loop, {.path = directory / "run.db", .profile = SqliteProfile::fast, .sink = hasty_sink()});
+    sqlite::Database::open(directory / "run.db", sqlite::Database::Mode::write).execute("CREATE TABLE t (x)");
+    return heard(std::move(made), probe);
+  }
+  sinks::Directory directory;
+};
+struct OfConsoleSink : OfSink {
+  using Type = ConsoleSink;
+  ~OfConsoleSink() { ::close(full); }
+  Type make(Loop& loop, Probe& probe) { return heard(Type(loop, {.descriptor = full, .sink = hasty_sink()}), probe); }
+  int full = ::open("/dev/full", O_WRONLY | O_CLOEXEC);
+};
+struct OfTcpSink : OfSink {
+  using Type = TcpSink;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.host = "127.0.0.1", .port = refused.port(), .sink = hasty_sink()}), probe);
+  }
+  RefusedPort refused;
+};
+struct OfUdpSink : OfSink {
+  using Type = UdpSink;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.host = "127.0.0.1", .port = refused.port(), .sink = hasty_sink()}), probe);
+  }
+  RefusedPort refused;
+};
+#ifdef RTDATA_WITH_HTTP
+struct OfHttpSink : OfSink {
+  using Type = HttpSink;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.server = {.url = refused.url()}, .sink = hasty_sink()}), probe);
+  }
+  RefusedPort refused;
+};
+#endif
+#ifdef RTDATA_WITH_MQTT
+struct OfMqttSink : OfSink {
+  using Type = MqttSink;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(Type(loop, {.host = "127.0.0.1", .port = refused.port(), .sink = hasty_sink()}), probe);
+  }
+  RefusedPort refused;
+};
+#endif
+#ifdef RTDATA_WITH_POSTGRESQL
+struct OfPostgresqlSink : OfSink {
+  using Type = PostgresqlSink;
+  Type make(Loop& loop, Probe& probe) {
+    return heard(
+        Type(loop,
+             {.host = "127.0.0.1", .port = refused.port(), .database = "none", .user = "nobody", .sink = hasty_sink()}),
+        probe);
+  }
+  RefusedPort refused;
+};
+#define POSTGRESQL_HANDLES , OfPostgresqlSink
+#else
+#define POSTGRESQL_HANDLES
+#endif
 
-#define HANDLES                                                                                               \
-  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,     \
-      OfDerivedSensor, OfTriggerSensor, OfLimitSensor, OfMachine, OfOutput, OfAnalogSensor, OfEncoderSensor,  \
-      OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor, OfGpsSensor, \
-      OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfSink
+#define HANDLES                                                                                                      \
+  OfTimer, OfTicker, OfFdWatch, OfSignalWatch, OfTypedSubscription, OfViewSubscription, OfSensor, OfFeed,            \
+      OfDerivedSensor, OfTriggerSensor, OfLimitSensor, OfMachine, OfOutput, OfController, OfAnalogSensor,            \
+      OfEncoderSensor, OfW1Sensor, OfIioSensor, OfDriverSensor, OfLevelsSensor, OfHostSensor, OfSerialLineSensor,    \
+      OfGpsSensor, OfGpioEdges, OfEdgeSensor, OfCounterSensor, OfVerticalSensor, OfPpsSensor, OfIioBufferSensor,     \
+      OfCommandSensor, OfUdpLines, OfTcpLines, OfReplay, OfSink, OfFileSink, OfSqliteSink, OfConsoleSink, OfTcpSink, \
+      OfUdpSink HTTP_HANDLES MQTT_HANDLES POSTGRESQL_HANDLES
+/// Of these, those that have a verb `finish`, and others that are given something to call; a kind each of sinks.
+#define FINISHED OfOutput, OfController, OfSink, OfFileSink, OfConsoleSink, OfTcpSink
 
 /// Lets a real loop run until `done`, or some turns long when it is never done; true when it was.
 template <class Done>
 bool turn(Loop& loop, Done done) {
-  for (int turns = 0; turns < 500; ++turns) {
+  for (int turns = 0; turns < 20'000; ++turns) {
     if (done()) return true;
     loop.run_for(200us);
   }
@@ -398,6 +618,20 @@ struct Quiet {
     be_quiet(loop);
   }
 };
+
+/// Armed at the end. `finish` has a test of its own.
+void use_verbs_of_output(Output& output) {
+  const bool is_controller = output.change_setpoint(20).has_value();
+  CHECK(output.is_setpoint_commanded() == is_controller);
+  CHECK(output.change_pid({.kp = 2}).has_value() == is_controller);
+  CHECK(output.disarm("test"));
+  CHECK_FALSE(output.is_armed());
+  CHECK(output.set(1).error().code == (is_controller ? Errc::bad_argument : Errc::not_permitted));
+  CHECK(output.arm("test"));
+  CHECK(output.is_armed());
+  output.when_published([] {});
+  output.when_taken([](const Result<void>&) {});
+}
 
 /// Every verb of a handle but close, with what keeps it going at the end.
 template <class Type>
@@ -418,9 +652,15 @@ void use_verbs(Type& handle) {
   } else if constexpr (std::is_same_v<Type, Subscription>) {
     handle.set_name("x");
     CHECK(handle.counts().offered > 0);
-  } else if constexpr (std::is_same_v<Type, Sink>) {
+  } else if constexpr (std::is_base_of_v<Sink, Type>) {
     handle.flush();
+    handle.sync([] {});
     CHECK(handle.counts().offered > 0);
+    CHECK_FALSE(handle.status().name.empty());
+  } else if constexpr (std::is_same_v<Type, Replay>) {
+    CHECK(handle.is_done());
+    CHECK(handle.counts().events == 1);
+    CHECK(handle.run() == 1);
   } else if constexpr (std::is_same_v<Type, GpioEdges>) {
     handle.take_waiting();
     handle.on_error([](const ErrorReport&) {});
@@ -436,6 +676,12 @@ void use_verbs(Type& handle) {
     CHECK(handle.counts().events > 0);
     CHECK(handle.state() == "a");
   } else if constexpr (!std::is_same_v<Type, SignalWatch>) {
+    if (handle.rate())
+      handle.set_rate(1_kHz);
+    else
+      CHECK_THROWS_AS(handle.set_rate(1_kHz), SetupError);
+    handle.set_processing({});
+    if constexpr (std::is_same_v<Type, Output>) use_verbs_of_output(handle);
     handle.stop();
     CHECK_FALSE(handle.is_running());
     handle.start();
@@ -579,6 +825,28 @@ TEST_SUITE("contract") {
     CHECK_FALSE(moved.is_open());
   }
 
+  TEST_CASE("handle rule 4: one that looks up the name of its host may outlive its loop too") {
+    constexpr const char* host = "nobody.invalid";
+    TcpLines lines;
+    GpsSensor gps;
+    TcpSink tcp;
+    UdpSink udp;
+    {
+      Quiet quiet;
+      lines = TcpLines(quiet.loop, {.name = "lines"}, {.host = host, .port = 9, .lines = hasty_lines});
+      gps = GpsSensor(quiet.loop, {.name = "gps"}, {.host = host});
+      SinkConfig config = hasty_sink();
+      tcp = TcpSink(quiet.loop, {.host = host, .port = 9, .sink = config});
+      config.name = "udp";
+      udp = UdpSink(quiet.loop, {.host = host, .port = 9, .sink = config});
+      quiet.loop.topic<Climate>("t").publish({});
+      tcp.flush();
+      udp.flush();
+      quiet.loop.run_for(1ms);
+    }
+    CHECK_FALSE((lines.is_open() || gps.is_open() || tcp.is_open() || udp.is_open()));
+  }
+
   TEST_CASE_TEMPLATE("handle rule 5: a moved-from and a default-made one are closed and harmless", Of, HANDLES) {
     using Type = typename Of::Type;
     Quiet quiet;
@@ -604,10 +872,21 @@ TEST_SUITE("contract") {
       } else if constexpr (std::is_same_v<Type, Subscription>) {
         closed->set_name("x");
         CHECK(closed->counts().offered + closed->times().count == 0);
-      } else if constexpr (std::is_same_v<Type, Sink>) {
+      } else if constexpr (std::is_base_of_v<Sink, Type>) {
         closed->flush();
+        closed->sync([] { FAIL_CHECK("it was called"); });
+        std::optional<std::uint64_t> lost;
+        closed->finish([&](std::uint64_t count) { lost = count; });
+        CHECK(lost == 0);
+        closed->end_before("another");
         closed->on_error([](const ErrorReport&) {});
         CHECK(closed->counts().offered == 0);
+        CHECK(closed->status().name.empty());
+      } else if constexpr (std::is_same_v<Type, Replay>) {
+        closed->on_done([](const Result<void>&) {});
+        CHECK(closed->is_done());
+        CHECK(closed->counts().events == 0);
+        CHECK(closed->run() == 0);
       } else if constexpr (std::is_same_v<Type, GpioEdges>) {
         closed->take_waiting();
         closed->on_error([](const ErrorReport&) {});
@@ -629,11 +908,23 @@ TEST_SUITE("contract") {
       } else if constexpr (!std::is_same_v<Type, SignalWatch>) {
         closed->start();
         closed->stop();
+        closed->set_rate(1_kHz);
+        closed->set_processing({});
         CHECK(closed->counts().scheduled + closed->times().count == 0);
         CHECK_FALSE(closed->is_running());
         closed->on_error([](const ErrorReport&) {});
         CHECK(closed->status().name.empty());
         if constexpr (std::is_same_v<Type, Feed<Climate>>) closed->publish({});
+        if constexpr (std::is_same_v<Type, Output>) {
+          for (const Result<void>& done : {closed->set(1), closed->arm("test"), closed->disarm("test"),
+                                           closed->change_pid({}), closed->change_setpoint(1)})
+            CHECK(done.error().code == Errc::closed);
+          const auto is_not_called = [] { FAIL_CHECK("it was called"); };
+          closed->finish(is_not_called);
+          closed->when_published(is_not_called);
+          closed->when_taken([=](const Result<void>&) { is_not_called(); });
+          CHECK_FALSE(closed->is_armed());
+        }
       }
     }
     CHECK(other.is_open());
@@ -709,6 +1000,7 @@ TEST_SUITE("contract") {
     REQUIRE(turn(quiet.loop, [&] { return probe.calls > 0 && of_other > 0; }));
     CHECK(handle.is_open());
     probe.action = nullptr;
+    if constexpr (requires { Of::is_called_once; }) return;
     const int calls = probe.calls;
     of.provoke(quiet.loop, handle);
     CHECK(turn(quiet.loop, [&] { return probe.calls > calls; }));  // what it threw has not ended it
@@ -761,5 +1053,55 @@ TEST_SUITE("contract") {
     REQUIRE(turn(quiet.loop, [&] { return probe.calls > 0; }));
     CHECK(refused == 4);
     CHECK(handle.is_open());
+  }
+  TEST_CASE_TEMPLATE("handle rule 8: a callback may finish its own handle, which is closed afterwards", Of, FINISHED) {
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    auto handle = of.make(quiet.loop, probe);
+    int finished = 0;
+    probe.action = [&] {
+      if (probe.calls == 1) handle.finish([&](auto...) { ++finished; });
+    };
+    of.provoke(quiet.loop, handle);
+    CHECK(turn(quiet.loop, [&] { return finished > 0; }));
+    CHECK(handle.is_open());
+    handle.close();
+    CHECK(probe.captures_are_gone());
+    quiet.loop.run_for(3ms);
+    CHECK(finished == 1);
+  }
+
+  TEST_CASE_TEMPLATE("handle rule 2: after close nothing is called that a verb was given, and its captures are gone",
+                     Of, FINISHED) {
+    Quiet quiet;
+    Of of;
+    Probe probe;
+    auto handle = of.make(quiet.loop, probe);
+    of.provoke(quiet.loop, handle);
+    int calls = 0;
+    std::vector<std::weak_ptr<int>> captures;
+    const auto given = [&] {
+      auto token = std::make_shared<int>(0);
+      captures.emplace_back(token);
+      return [&calls, token](auto...) { ++calls; };
+    };
+    if constexpr (std::is_same_v<typename Of::Type, Output>) {
+      handle.when_published(given());
+      handle.when_taken(given());
+    } else {
+      handle.sync(given());
+    }
+    SUBCASE("at once") {}
+    SUBCASE("when it is called to finish") { handle.finish(given()); }
+    SUBCASE("when it has finished") {
+      handle.finish(given());
+      quiet.loop.run_for(1ms);
+    }
+    handle.close();
+    for (const auto& seen : captures) CHECK(seen.expired());
+    const int then = calls;
+    quiet.loop.run_for(3ms);
+    CHECK(calls == then);
   }
 }

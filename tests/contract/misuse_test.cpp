@@ -96,7 +96,7 @@ struct Meddler {
   Meddler(Meddler&& other) : moved(other.moved) { (*moved)(); }
 };
 
-/// A loop, own or borrowed, of which each kind of callback does something.
+/// A loop, own or attached, of which each kind of callback does something.
 struct Place {
   std::unique_ptr<Loop> loop;
   uv_loop_t* host = nullptr;

@@ -239,30 +239,13 @@ def tests_of(identifier, names):
 NOT_TRIED = {
     "AnySensor": "the base of sensors",
     "AnyFeed": "the base of feeds",
-    "VerticalSensor": "a FeedNode as that of LimitSensor; vertical_test.cpp tries it",
-    "PpsSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
-    "HttpSensor": "a SensorNode on a lane as that of W1Sensor; http_sensor_test.cpp tries it",
-    "MqttSensor": "opened and closed by StreamNode, as GpsSensor is; mqtt_sensor_test.cpp tries it",
-    "CommandSensor": "a LineNode as that of SerialLineSensor; command_test.cpp tries it",
-    "TcpLines": "a LineNode as that of SerialLineSensor; tcp_lines_test.cpp tries it",
-    "UdpLines": "a LineNode as that of SerialLineSensor; udp_lines_test.cpp tries it",
-    "IioBufferSensor": "opened and closed by SourceNode, as GpsSensor is; sensor_contract_test.cpp tries it",
-    "FileSink": "a Sink with a writer; sink_contract_test.cpp tries it",
-    "ConsoleSink": "a Sink with a writer; sink_contract_test.cpp tries it",
-    "SqliteSink": "a Sink with a writer; sink_contract_test.cpp tries it",
-    "HttpSink": "a Sink with a sender; sender_test.cpp and http_test.cpp try it",
-    "MqttSink": "a Sink with a sender; sender_test.cpp and mqtt_test.cpp try it",
-    "PostgresqlSink": "a Sink with a writer; sink_contract_test.cpp tries it",
-    "Replay": "a node that reads a file; replay_test.cpp tries it",
-    "TcpSink": "a Sink with a sender; sender_test.cpp and network_test.cpp try it",
-    "UdpSink": "a Sink with a sender; sender_test.cpp and network_test.cpp try it",
 }
 
 
 def check_handles(source):
     contract = "tests/contract/handle_contract_test.cpp"
     text = (source / contract).read_text()
-    listed = re.findall(r"\bOf\w+", re.search(r"#define HANDLES((?:.*\\\n)*.*)", text)[1])
+    listed = re.findall(r"\bOf\w+", " ".join(re.findall(r"#define \w*HANDLES((?:.*\\\n)*.*)", text)))
     tried = set()
     for entry in listed:
         found = re.search(rf"struct {entry}\b[^{{]*{{\n(?:.*\n)*?  using Type = (?:\w+::)*(\w+)", text)
@@ -279,6 +262,30 @@ def check_handles(source):
     for test in re.findall(r"`(handle rule [^`]+)`", (source / "docs/handles.md").read_text()):
         if test not in names:
             problem("docs/handles.md", f"there is no test {test!r}")
+
+
+def plain(text):
+    """Without marks, links and line ends."""
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    return " ".join(re.sub(r"[`*]|\.(?:md|hpp)\b", "", text).split())
+
+
+def items(text):
+    """Of the first numbered list, also of one in a header's comment."""
+    found = re.search(r"^ *1\. .*\n(?:(?: *\d+\. | {2,}\S).*\n)+", re.sub(r"^/// ?", "", text, flags=re.M), re.M)
+    return [plain(one) for one in re.split(r"^ *\d+\. ", found[0], flags=re.M)[1:]]
+
+
+def check_sentences(source):
+    """What a header and a page both list, they list in the same words; the page may go on."""
+    rules = items((source / "include/rtdata/loop/handle.hpp").read_text())
+    rows = re.findall(r"^\| \d \| (.*?) \| `", (source / "docs/handles.md").read_text(), re.M)
+    if rules != [plain(row) for row in rows]:
+        problem("docs/handles.md", "its rules are not those of include/rtdata/loop/handle.hpp, word for word")
+    life = items((source / "include/rtdata/sensors/sensor.hpp").read_text())
+    page = items((source / "docs/sensors.md").read_text().split("## Its life")[1])
+    if len(life) != len(page) or not all(there.startswith(here) for here, there in zip(life, page)):
+        problem("docs/sensors.md", "its life is not that of include/rtdata/sensors/sensor.hpp, word for word")
 
 
 def check_requirements(source, build):
@@ -311,6 +318,7 @@ def main():
     check_errors(source)
     check_types(source, program, check_drivers_page(source, program, rewrite=False))
     check_handles(source)
+    check_sentences(source)
     check_requirements(source, build)
     print("\n".join(problems))
     print(f"{len(problems)} problems" if problems else "the documentation agrees with the product")

@@ -23,7 +23,7 @@ fi
 project() {
     cp -r "$source/tests/install/$1" "$work/$1"
     sed 's/run_for(1s)/run_for(200ms)/' "$source/examples/01_record.cpp" >"$work/$1/record.cpp"
-    cp "$source/tests/install/lines.cpp" "$source/tests/install/registers.cpp" "$work/$1"
+    cp "$source/tests/install/"*.c "$source/tests/install/"*.cpp "$work/$1"
     cd "$work/$1"
 }
 # Runs the program $1 and looks whether its rows are there.
@@ -89,6 +89,9 @@ cp "$source/examples/06_own_types_in_json.cpp" own_types.cpp
 cmake -S . -B out -DCMAKE_PREFIX_PATH="$work/prefix" -DCMAKE_BUILD_TYPE=Release >cmake.log
 cmake --build out -j "$(nproc)" >>cmake.log || { cat cmake.log >&2; exit 1; }
 check out/record
+rm run.db
+check out/host
+echo "C with a loop of its own: good"
 if [ -e "$pkgconfig/rtdata-gpio.pc" ]; then
     out/lines
     echo "GPIO, CMake: good"

@@ -2,6 +2,9 @@
 
 #include <doctest/doctest.h>
 
+#include <cstdint>
+#include <ctime>
+#include <utility>
 #include <vector>
 
 using namespace rtdata;
@@ -149,5 +152,28 @@ TEST_SUITE("loop") {
     loop.run();
     CHECK_FALSE(early);
     CHECK(ticker.fired() + ticker.missed() == last + 1);
+  }
+
+  TEST_CASE("NFR-4 in real time there are as many ticks, fired or missed, as another clock has periods") {
+    const auto boottime = [] {
+      timespec now{};
+      ::clock_gettime(CLOCK_BOOTTIME, &now);
+      return Duration{now.tv_sec * std::int64_t{1'000'000'000} + now.tv_nsec};
+    };
+    Loop loop;
+    Duration last{0};
+    Duration look{0};  // the one before
+    Duration made{0};
+    const Duration before = boottime();
+    Ticker ticker(loop, 1ms, [&](const Tick&) {
+      look = std::exchange(last, boottime());
+      if (look - made >= 500ms) loop.stop();
+    });
+    made = boottime();
+    loop.run();
+    // One at the start, between `before` and `made`, and one each period; those due at `look` have been counted.
+    const auto counted = static_cast<std::int64_t>(ticker.fired() + ticker.missed());
+    CHECK(counted > (look - made) / 1ms);
+    CHECK(counted <= (last - before) / 1ms + 1);
   }
 }

@@ -4,9 +4,9 @@
 ///     rtdata::Ticker tick(loop, 10ms, [](const rtdata::Tick& t) { ... });
 ///     loop.run_for(1s);
 ///
-/// A Loop owns a `uv_loop_t`, borrows the host program's, or (for tests) runs in virtual time. It handles deadlines,
-/// file descriptors, deliveries of topics and `post`; it knows nothing about sensors. One absolute CLOCK_MONOTONIC
-/// timerfd serves all its deadlines. A Loop makes a private Runtime unless it is given one.
+/// A Loop owns a `uv_loop_t`, is attached to the host program's, or (for tests) runs in virtual time. It handles
+/// deadlines, file descriptors, deliveries of topics and `post`; it knows nothing about sensors. One absolute
+/// CLOCK_MONOTONIC timerfd serves all its deadlines. A Loop makes a private Runtime unless it is given one.
 ///
 /// Order within one turn: deadlines that are due, then I/O, then deliveries within a time budget. A tick is late by at
 /// most the budget plus one group of callbacks (fast handlers: at most 128, expected to take under 5 us together; slow
@@ -146,8 +146,8 @@ class Loop {
 
   Loop();
   explicit Loop(Config config);
-  /// Borrows `host`, which must outlive this object and must run once more afterwards, so that libuv can finish closing
-  /// our handles. It changes nothing of the host's.
+  /// Attached to `host`, which must outlive this object and must run once more afterwards, so that libuv can finish
+  /// closing our handles. It changes nothing of the host's.
   explicit Loop(uv_loop_t* host);
   Loop(uv_loop_t* host, Config config);
   /// Virtual time, starting at 0 and moved by `advance` only, for it and all its tiers.

@@ -203,7 +203,7 @@ class Output : public AnySensor {
   /// safe value. `patiently`: the same, and after any error of the device the output starts as failed.
   Output(Loop& loop, OutputConfig config, MakeActuator make, std::string guarded = {}, Takes takes = Takes::at_once);
   /// Calls `done` on its loop, in a later turn, when the device has its safe value or is disconnected (not an error
-  /// here), within 5 s. On an error the output has no device; close it.
+  /// here), within 5 s. On an error the output has no device; close it. Not called if it is closed before.
   void when_taken(Callback<void(Result<void>)> done);
 
   /// `by`: who asks, for the event. Errors: bad-argument (not finite; it follows a topic), out-of-range (the device
@@ -227,7 +227,8 @@ class Output : public AnySensor {
 
   /// Sets the safe value and releases the device, as closing does, but does not wait: calls `done` on its loop, in a
   /// later turn, within 5 s unless a value was being set. After the call it takes no value. Close it after `done`,
-  /// which then does not wait; closing it earlier waits for the rest. For changes of a configuration.
+  /// which then does not wait; closing it earlier waits for the rest, and `done` is not called. For changes of a
+  /// configuration.
   void finish(Callback<void()> done);
   /// The remaining lease of the last `set`. Without a `lease`: Duration::max().
   Duration lease_left() const noexcept;

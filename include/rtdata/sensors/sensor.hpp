@@ -18,13 +18,16 @@
 /// Reading must not block: slow work (bus transfers, slow kernel files) belongs on a lane, as in `AnalogSensor`.
 ///
 /// The life of a sensor:
-///   1. made: it starts at once; `stop` and `start` any number of times.
-///   2. each tick of its schedule ends as taken, missed or failed; each sample that a read brings as published,
+///   1. Made, it starts at once, unless `start` is false; on a running loop too. `stop` and `start` any number of
+///      times.
+///   2. Each tick of its schedule ends as taken, missed or failed; each sample that a read brings as published,
 ///      repeated, filtered or unreadable (ledger.hpp).
-///   3. a failure makes it degraded; `faulted_after` failures in a row make it faulted: the device is closed, and
-///      opened again after a delay that doubles from `retry_first` to `retry_longest`, with jitter. The ticks between
-///      fail.
-///   4. after `stop` or `close`: no event, no callback, no access to the device; queued deliveries are cancelled.
+///   3. A failure (an error, or an exception) makes it degraded; `faulted_after` failures in a row make it
+///      faulted: the device is closed, and opened again after a delay that doubles from `retry_first` to
+///      `retry_longest`, with jitter. The ticks between fail.
+///   4. A device that is absent at the start is a fault like any other; with `required` it ends the set-up instead.
+///   5. After `stop` or `close`: no event and no callback; queued deliveries are cancelled. The device is closed; on a
+///      lane that comes after a read under way, which is discarded.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once

@@ -339,6 +339,7 @@ class GpsNode final : public StreamNode {
   void on_close() noexcept override {
     StreamNode::on_close();
     answer_.close();
+    stream_.end();
   }
 
   const GpsConfig config_;

@@ -6,6 +6,7 @@
 #include <array>
 #include <cerrno>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -34,7 +35,7 @@ class CommandNode final : public LineNode {
       : LineNode(loop, feed, std::move(config.lines), config.run.front(), program_advice),
         run_(std::move(config.run)),
         is_terminal_(config.pty),
-        lane_(loop, "program of " + feed.name, starting_limit),
+        lane_(std::in_place, loop, "program of " + feed.name, starting_limit),
         over_(loop.face, [this] { be_over(); }) {
     set_stream();
   }
@@ -76,7 +77,7 @@ class CommandNode final : public LineNode {
   void open_stream() override {
     const auto job = std::make_shared<Starting>(*this);
     starting_ = job;
-    if (lane_.submit(job, starting_limit)) return;
+    if (lane_->submit(job, starting_limit)) return;
     starting_ = nullptr;
     take(Error{Errc::timed_out, "cannot start the program", place(), "no thread is free: earlier attempts still hang",
                "check the disk of the program"});
@@ -110,6 +111,7 @@ class CommandNode final : public LineNode {
   void on_close() noexcept override {
     over_.close();
     LineNode::on_close();
+    lane_.reset();  // it must not outlive the loop
   }
 
   void source_ended(int) override {
@@ -167,7 +169,7 @@ class CommandNode final : public LineNode {
   }
   const std::vector<std::string> run_;
   const bool is_terminal_;
-  Lane lane_;
+  std::optional<Lane> lane_;  // until it is closed
   std::shared_ptr<Starting> starting_;
   Child child_;
   FdWatch errors_, ended_;

@@ -83,6 +83,10 @@ class TcpClientNode final : public TcpLinesNode {
       if (!stream_.send(text)) return take(lost(0));
     take(stream_.release());
   }
+  void on_close() noexcept override {
+    LineNode::on_close();
+    stream_.end();
+  }
 
   const std::string host_;
   const std::uint16_t port_;
