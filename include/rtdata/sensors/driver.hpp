@@ -70,6 +70,7 @@
 #include <string>
 #include <type_traits>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "rtdata/detail/sensors/transaction.hpp"
@@ -498,8 +499,74 @@ class DriverDevice final : public detail::LaneDevice {
   std::optional<typename detail::MemoryOf<D>::type> memory_;
 };
 
-template <Driver D>
+namespace detail {
+
+/// What a class lacks that is no `Driver`, in one sentence.
+template <class D>
+constexpr void check_driver_class() {
+  static_assert(
+      requires { typename D::Config; },
+      "rtdata: a driver has `struct Config`, its parameters, see rtdata/sensors/driver.hpp");
+  static_assert(
+      requires { typename D::Value; },
+      "rtdata: a driver has `using Value`, what it publishes, see rtdata/sensors/driver.hpp");
+  static_assert(
+      requires { typename D::Device; },
+      "rtdata: a driver has `using Device`, how it talks to its chip, such as rtdata::I2cDevice");
+  if constexpr (requires {
+                  typename D::Device;
+                  typename D::Value;
+                  typename D::Config;
+                }) {
+    constexpr bool on_bus = std::is_base_of_v<BusDevice, typename D::Device> && requires {
+      typename D::Device::Place;
+      typename D::Device::Bus;
+    };
+    static_assert(on_bus, "rtdata: the `Device` of a driver derives from rtdata::BusDevice and has `Place` and `Bus`");
+    constexpr bool made = std::constructible_from<D, const typename D::Config&>;
+    static_assert(made, "rtdata: a driver has a public constructor that takes its `const Config&`");
+    constexpr bool reads = requires(D driver, typename D::Device & device) { driver.read(device); }
+    || requires(D driver, typename D::Device & device, Samples<typename D::Value> & out) { driver.read(device, out); };
+    static_assert(reads, "rtdata: a driver has a public `read(Device&)` or `read(Device&, Samples<Value>&)`");
+  }
+}
+
+template <class D>
+struct PlaceOf {
+  using type = std::monostate;
+};
+// clang-format off
+template <class D>
+  requires requires { typename D::Device::Place; }
+struct PlaceOf<D> {
+  using type = typename D::Device::Place;
+};
+template <class D>
+struct ConfigOf {
+  using type = std::monostate;
+};
+template <class D>
+  requires requires { typename D::Config; }
+struct ConfigOf<D> {
+  using type = typename D::Config;
+};
+// clang-format on
+
+}  // namespace detail
+
+/// Of a class that is no driver: the compiler says what it lacks.
+template <class D>
 class DriverSensor : public AnySensor {
+ public:
+  template <class Bus, class Place = typename detail::PlaceOf<D>::type,
+            class Config = typename detail::ConfigOf<D>::type>
+  DriverSensor(Loop&, const SensorConfig&, Bus&, const Place& = {}, const Config& = {}) {
+    detail::check_driver_class<D>();
+  }
+};
+
+template <Driver D>
+class DriverSensor<D> : public AnySensor {
  public:
   DriverSensor() noexcept = default;
   /// SetupError: as `Sensor`; from the driver's constructor; an invalid or taken place on the bus.
