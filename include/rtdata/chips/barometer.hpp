@@ -2,7 +2,8 @@
 /// MS5611 on I2C or SPI.
 ///
 ///     rtdata::DriverSensor<rtdata::Barometer> air(loop, {.name = "air", .rate = 10_Hz}, bus, {.address = 0x76},
-///                                                 {.model = BarometerModel::bmp280, .pressure_oversampling = 16});
+///                                                 {.model = rtdata::BarometerModel::bmp280,
+///                                                  .pressure_oversampling = 16});
 ///
 /// Each tick starts one measurement and reads it when the chip has had its time (7 ms, with 16-fold oversampling of
 /// both 76 ms; a BMP581: 5 and 17 ms); the bus is free for others meanwhile, and the event has the time of the start. An

@@ -6,8 +6,10 @@
 ///
 ///     class Tilt {                                       // a driver
 ///       rtdata::InertialChip chip_{model, settings};
-///       Result<void> read(RegisterDevice& chip, Samples<Value>& out) {
-///         return chip_.read(chip, out, [](const InertialSample& sample) { return Value{sample.acceleration[0]}; });
+///       rtdata::Result<void> read(rtdata::RegisterDevice& chip, rtdata::Samples<Value>& out) {
+///         return chip_.read(chip, out, [](const rtdata::InertialSample& sample) {
+///           return Value{sample.acceleration[0]};
+///         });
 ///       }
 ///     };
 ///

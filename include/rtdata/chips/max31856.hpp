@@ -1,7 +1,8 @@
 /// Max31856: a thermocouple of any kind at a MAX31856 of Maxim on SPI.
 ///
 ///     rtdata::DriverSensor<rtdata::Max31856> oven(loop, {.name = "oven", .rate = 2_Hz}, bus,
-///                                                 {.chip_select = 0, .mode = 1}, {.thermocouple = Thermocouple::k});
+///                                                 {.chip_select = 0, .mode = 1},
+///                                                 {.thermocouple = rtdata::Thermocouple::k});
 ///
 /// Each tick starts one measurement and reads it when it is done; the bus is free meanwhile. A measurement takes 0.23 s
 /// with a filter for mains of 50 Hz, 0.2 s for 60 Hz, plus 40 or 33 ms for each further measurement of `average`. A

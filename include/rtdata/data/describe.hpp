@@ -23,8 +23,8 @@
 ///
 ///     enum class State { idle, running };
 ///     constexpr auto describe(rtdata::type_tag<State>) {
-///       return rtdata::enumeration("state", rtdata::value("idle", State::idle), rtdata::value("running",
-///       State::running));
+///       return rtdata::enumeration("state", rtdata::value("idle", State::idle),
+///                                  rtdata::value("running", State::running));
 ///     }
 ///
 /// Units are UCUM strings. A missing `describe`, a member left out of it, a name used twice and a type that cannot be
@@ -135,7 +135,7 @@ concept DescribedEnum = std::is_enum_v<T> && requires {
 };
 
 /// The description of T. Made at the first call; lives to the end of the program. The first call throws `SetupError`
-/// (bad_description) if the description is invalid, for example too large.
+/// (bad-description) if the description is invalid, for example too large.
 template <class T>
 const std::shared_ptr<const Description>& description_of();
 

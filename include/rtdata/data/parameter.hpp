@@ -4,7 +4,7 @@
 ///       std::string device;
 ///       std::uint32_t baud = 9600;
 ///       Parity parity = Parity::none;
-///       Duration timeout = 100ms;
+///       rtdata::Duration timeout = 100ms;
 ///       std::optional<double> scale;
 ///       friend constexpr auto parameters(rtdata::type_tag<UartConfig>) {
 ///         return rtdata::parameter_list(

@@ -17,7 +17,7 @@
 /// A channel's name is that of its files without "in_" and "_raw" or "_input": "voltage0", "voltage0-voltage1",
 /// "accel_x", "temp", "humidityrelative". The quantity and unit follow from the name, without the device.
 ///
-/// Values, but for IioCapture, which is move-only. Thread: any, one at a time. Calls that touch files below /sys block
+/// Values; an IioCapture is its holder's. Thread: any, one at a time. Calls that touch files below /sys block
 /// for as long as the driver needs to ask its chip: they belong on a lane. `IioCapture::read` never blocks.
 #pragma once
 

@@ -1,4 +1,4 @@
-/// Gaps as events: what a sensor or feed did not bring, as soon as that is over.
+/// GapEvent: what a sensor or feed did not bring, as an event, as soon as that is over.
 ///
 ///     auto s = loop.subscribe<rtdata::GapEvent>("$rtdata/gaps", [](const rtdata::Event<rtdata::GapEvent>& e) {
 ///       alarm(e->name, e->reason, e->count);

@@ -7,13 +7,13 @@
 ///       struct Config { ... };                      // its parameters
 ///       using Value = TemperatureReading;           // what it publishes
 ///       using Device = rtdata::I2cDevice;           // how it talks to the chip
-///       static constexpr I2cDevice::Place place{0x48};          // where it is unless the user says otherwise
+///       static constexpr rtdata::I2cDevice::Place place{0x48};  // where it is unless the user says otherwise
 ///       explicit Lm75(const Config& config);
-///       rtdata::Result<void> open(I2cDevice& chip);             // optional: identity, calibration; see below
-///       rtdata::Result<void> start(I2cDevice& chip);            // optional: begins a conversion ...
+///       rtdata::Result<void> open(rtdata::I2cDevice& chip);     // optional: identity, calibration; see below
+///       rtdata::Result<void> start(rtdata::I2cDevice& chip);    // optional: begins a conversion ...
 ///       rtdata::Duration conversion_time() const;               // ... which takes this long; the bus is free
-///       rtdata::Reading<TemperatureReading> read(I2cDevice& chip);  // or the value itself, or a Result of it
-///       void close(I2cDevice& chip);                            // optional
+///       rtdata::Reading<TemperatureReading> read(rtdata::I2cDevice& chip);  // or the value itself, or a Result of it
+///       void close(rtdata::I2cDevice& chip);                    // optional
 ///     };
 ///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x49});
 ///
