@@ -7,6 +7,7 @@ A comment on the line before a code block says what is done with it:
   <!-- test: python [MODULE...] -->  it runs in that folder, and prints something; skipped where a module is not installed
   <!-- test: file PATH -->       the file has it, word for word
   <!-- test: fresh machine -->   tests/bare/run.sh runs it, in the source tree, on a machine with nothing installed
+The examples at the heads of public headers compile, with the names of example_names.hpp, but for those with "..." in them.
 Parts that need the program are skipped, and that is said, when it is not built. `--write-types` puts what the program says of
 its drivers into docs/chips.md. The tests of each requirement are listed in BUILD_DIR/requirements.txt.
 """
@@ -91,6 +92,58 @@ def check_blocks(source, build, compiler, program):
                         problem(where, f"ends with {done.returncode}:\n" + done.stdout + done.stderr)
     if skipped:
         print(f"skipped: {skipped} blocks that need the program, which is not built")
+
+
+# How paragraphs begin that stand at the head of a header as examples do, and are no C++.
+NOT_CODE = {
+    "bench.json:7:43": "a problem, as it is printed",
+    "12:00:00.123": "an event on a console",
+    '{"timestamp"': "a datagram",
+    '"tls": {': "of a configuration",
+    "zero  = 2^bits": "a formula",
+    "span  = 2^bits": "a formula",
+}
+
+
+def examples(header):
+    """The indented blocks of the first comment: (line number, text) of each."""
+    comment = re.match(r"(?:///.*\n)*", header.read_text())[0]
+    for block in re.finditer(r"(?<=^///\n)(?:///     .*\n(?:///\n(?=///     ))?)+", comment, re.M):
+        text = re.sub(r"^///(?:     )?", "", block[0], flags=re.M)
+        for begin in NOT_CODE:
+            text = re.sub(rf"(?:^|(?<=\n\n)){re.escape(begin)}.*?(?:\n\n|\Z)", "", text, flags=re.S)
+        yield comment.count("\n", 0, block.start()) + 1, text
+
+
+def check_examples(source, compiler):
+    """In functions, unless they define what only a namespace can have. One run of the compiler has many headers."""
+    headers = sorted((source / "include").rglob("*.hpp"))
+    count, left = 0, 0
+    for part in (headers[0::2], headers[1::2]):
+        includes, parts = ['#include "example_names.hpp"'], []
+        for header in part:
+            name = header.relative_to(source / "include")
+            includes.append(f'#include "{name}"')
+            for line, text in examples(header):
+                if "..." in text or not text.strip():
+                    left += "..." in text
+                    continue
+                count += 1
+                is_whole = re.match(r"(?:class|struct|enum|int main)\b", text) and re.search(r"^};?\n\Z", text, re.M)
+                around = f"namespace example::of{count} {{", "}"
+                if text.startswith("template <> struct rtdata::"):
+                    around = "", ""
+                elif not is_whole:
+                    around = f"namespace example {{ Answer of{count}() {{", "return {}; } }"
+                parts.append(f'{around[0]}\n#line {line} "include/{name}"\n{text}\n{around[1]}')
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "examples.cpp"
+            file.write_text("\n".join(includes + parts))
+            done = run([compiler, "-std=c++20", "-fsyntax-only", "-Werror=unused-result", f"-I{source}/include",
+                        f"-I{source}/tests/docs", file])
+        if done.returncode != 0:
+            problem("examples at the heads of headers", "do not compile:\n" + done.stderr)
+    print(f"{count} examples of headers compiled, {left} with ... left out")
 
 
 def check_links(source):
@@ -306,6 +359,7 @@ def main():
         check_drivers_page(source, program, rewrite=True)
         return 0 if program else 1
     check_blocks(source, build, compiler, program)
+    check_examples(source, compiler)
     check_links(source)
     check_paths(source)
     check_errors(source)

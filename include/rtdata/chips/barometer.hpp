@@ -592,10 +592,7 @@ class Barometer {
   }
   Reading<BarometerReading> reading_of(RegisterDevice& chip, const Result<AirMeasurement>& air) const {
     auto made = air ? reading(*air, config_.reference_pressure) : Result<BarometerReading>(air.error());
-    if (!made) {
-      const Error& error = made.error();
-      return Unreadable{chip.error(static_cast<Errc>(error.code.value()), what, error.why, error.advice)};
-    }
+    if (!made) return Unreadable{at_place(chip, made.error())};
     return *made;
   }
 

@@ -111,16 +111,14 @@ class Max31856 {
   Reading<ThermocoupleReading> read(SpiDevice& chip) {
     std::array<std::uint8_t, register_count> bytes{};
     if (auto done = read_registers(chip, bytes); !done) return std::move(done).error();
-    const auto unreadable = [&](const Error& error) {
-      return Unreadable{chip.error(static_cast<Errc>(error.code.value()), what, error.why, error.advice)};
-    };
     if (!has_settings(bytes, config_)) {
       if (auto done = set_up(chip); !done) return std::move(done).error();
-      return unreadable({Errc::bad_data, what, "", "it has lost its settings since the start", "check its supply"});
+      return Unreadable{
+          chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply")};
     }
     if ((bytes[0] & one_shot) != 0) return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
     auto reading = decode(bytes);
-    if (!reading) return unreadable(reading.error());
+    if (!reading) return Unreadable{at_place(chip, reading.error())};
     return *reading;
   }
 

@@ -23,10 +23,10 @@
 /// A part uses another part by its name: a parameter declared with `names_part("bus", "wire")` holds the name of a bus
 /// of that type. That part exists when the factory is called, which takes `const Parts&` as its last argument:
 ///
-///     [](rtdata::Loop& loop, const rtdata::SensorConfig& common, const ProbeConfig& config,
-///        const rtdata::Parts& parts) {
+///     const auto make_probe = [](rtdata::Loop& loop, const rtdata::SensorConfig& common, const ProbeConfig& config,
+///                                const rtdata::Parts& parts) {
 ///       return Probe(loop, common, parts.get<Wire>("bus", config.bus));
-///     }
+///     };
 ///
 /// Owner: the program; nothing is global. Filled by one thread, then read by any.
 /// Errors: adding a type or a kind twice throws SetupError (bad-argument).

@@ -3,7 +3,7 @@
 ///     struct UartConfig {
 ///       std::string device;
 ///       std::uint32_t baud = 9600;
-///       Parity parity = Parity::none;
+///       rtdata::Parity parity = rtdata::Parity::none;
 ///       rtdata::Duration timeout = 100ms;
 ///       std::optional<double> scale;
 ///       friend constexpr auto parameters(rtdata::type_tag<UartConfig>) {

@@ -10,6 +10,7 @@
 ///       };
 ///       static constexpr rtdata::KnownChip chips[] = {
 ///           {.name = "TMP117", .addresses = {0x48}, .identity = {{0x0f, 0x0117, 0x0fff}}}};
+///       Config config_;
 ///       rtdata::Result<void> open(rtdata::I2cDevice& chip) {
 ///         return rtdata::check_identity(chip, chips[0], config_.identity);
 ///       }

@@ -136,6 +136,13 @@ class Samples {
   std::uint64_t lost_ = 0, lost_in_fault_ = 0;
 };
 
+/// The error of a driver's decoder, with the place of its chip.
+template <class Device>
+Error at_place(const Device& chip, Error error) {
+  error.where = chip.error(Errc::bad_data, {}, {}).where;
+  return error;
+}
+
 template <class D>
 concept Driver = requires(D driver, typename D::Device& device) {
   requires std::is_base_of_v<BusDevice, typename D::Device>;

@@ -12,7 +12,6 @@ class Thermometer {
   using Value = Climate;
   using Device = rtdata::I2cDevice;
   explicit Thermometer(const Config&) {}
-
 };
 
 void make(rtdata::Loop& loop, rtdata::I2cBus& bus) {

@@ -2,8 +2,8 @@
 /// do not need it.
 ///
 /// A header for each library (libcurl.hpp, ...) lists its functions. Each becomes an object of the same name in
-/// namespace rtdata, which unqualified calls find before the function itself. Call `load` first; checking or making such
-/// a part does this.
+/// namespace rtdata, which unqualified calls find before the function itself. Call `load` first; checking or making
+/// such a part does this.
 #pragma once
 
 #include <atomic>
