@@ -112,38 +112,40 @@ def examples(header):
         text = re.sub(r"^///(?:     )?", "", block[0], flags=re.M)
         for begin in NOT_CODE:
             text = re.sub(rf"(?:^|(?<=\n\n)){re.escape(begin)}.*?(?:\n\n|\Z)", "", text, flags=re.S)
-        yield comment.count("\n", 0, block.start()) + 1, text
+        if text:
+            yield comment.count("\n", 0, block.start()) + 1, text
 
 
 def check_examples(source, compiler):
-    """In functions, unless they define what only a namespace can have. One run of the compiler has many headers."""
+    """Each in a function, or in a namespace if it defines what only these can have. Two runs of the compiler, since one
+    takes more memory."""
     headers = sorted((source / "include").rglob("*.hpp"))
-    count, left = 0, 0
-    for part in (headers[0::2], headers[1::2]):
-        includes, parts = ['#include "example_names.hpp"'], []
-        for header in part:
-            name = header.relative_to(source / "include")
-            includes.append(f'#include "{name}"')
+    count = left_out = 0
+    for half in (headers[0::2], headers[1::2]):
+        includes, blocks = ['#include "example_names.hpp"'], []
+        for header in half:
+            name = header.relative_to(source)
+            includes.append(f'#include "{name.relative_to("include")}"')
             for line, text in examples(header):
-                if "..." in text or not text.strip():
-                    left += "..." in text
+                if "..." in text:
+                    left_out += 1
                     continue
                 count += 1
-                is_whole = re.match(r"(?:class|struct|enum|int main)\b", text) and re.search(r"^};?\n\Z", text, re.M)
-                around = f"namespace example::of{count} {{", "}"
                 if text.startswith("template <> struct rtdata::"):
-                    around = "", ""
-                elif not is_whole:
-                    around = f"namespace example {{ Answer of{count}() {{", "return {}; } }"
-                parts.append(f'{around[0]}\n#line {line} "include/{name}"\n{text}\n{around[1]}')
+                    begin, end = "", ""
+                elif re.match(r"(?:class|struct|enum|int main)\b", text) and text.endswith(("\n}\n", "\n};\n")):
+                    begin, end = f"namespace example::of{count} {{", "}"
+                else:
+                    begin, end = f"namespace example {{ Answer of{count}() {{", "return {}; } }"
+                blocks.append(f'{begin}\n#line {line} "{name}"\n{text}\n{end}')
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "examples.cpp"
-            file.write_text("\n".join(includes + parts))
+            file.write_text("\n".join(includes + blocks))
             done = run([compiler, "-std=c++20", "-fsyntax-only", "-Werror=unused-result", f"-I{source}/include",
                         f"-I{source}/tests/docs", file])
         if done.returncode != 0:
             problem("examples at the heads of headers", "do not compile:\n" + done.stderr)
-    print(f"{count} examples of headers compiled, {left} with ... left out")
+    print(f"{count} examples of headers compile, or are told below; {left_out} with ... are left out")
 
 
 def check_links(source):
@@ -173,7 +175,11 @@ def check_paths(source):
 
 
 def check_errors(source):
-    ids = re.findall(r'case Errc::\w+: return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
+    ids = re.findall(r'case Errc::\w+:\s+return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
+    enumerators = "|".join(name.replace("-", "_") for name in ids if "-" in name)
+    for path in (source / "include").rglob("*.hpp"):
+        for word in re.findall(rf"^ *//.*?(?<!::)\b({enumerators})\b", path.read_text(), re.M):
+            problem(path.relative_to(source), f"calls an error {word}, whose id is {word.replace('_', '-')}")
     header = (source / "include/rtdata/data/problem.hpp").read_text()
     listed = re.search(r"Ids in use: (.*?)\. They do not", header, re.S)
     ids += re.findall(r"[a-z-]+", listed[1].replace("///", " "))
