@@ -483,8 +483,7 @@ inline const std::shared_ptr<const Description>& description_of() {
 
 /// RTDATA_FIELDS(Type, (member, "unit"), (member), ...): the `describe` of a struct; inside the struct, naming every
 /// member, 100 at most. The record and its fields are called as they are written.
-///
-/// A template, after which g++ says nothing more when a member is misspelt. The commas are so many absent fields.
+// `describe` is a template so that g++ reports a misspelt member once. The commas stand for 100 absent fields.
 // clang-format off
 #define RTDATA_FIELDS(Type, ...) \
   friend void rtdata_fields(::rtdata::type_tag<Type>) {} \

@@ -508,7 +508,7 @@ class DriverDevice final : public detail::LaneDevice {
 
 namespace detail {
 
-/// What a class lacks that is no `Driver`, in one sentence.
+/// Says in one sentence what a class lacks to be a `Driver`.
 template <class D>
 constexpr void check_driver_class() {
   static_assert(
@@ -561,7 +561,7 @@ struct ConfigOf<D> {
 
 }  // namespace detail
 
-/// Of a class that is no driver: the compiler says what it lacks.
+/// Of a class that is no driver: a compile error says what it lacks.
 template <class D>
 class DriverSensor : public AnySensor {
  public:
