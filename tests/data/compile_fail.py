@@ -3,7 +3,7 @@
 
 Usage: compile_fail.py COMPILER INCLUDE_DIRECTORY
 A file whose first line has no `// expect: ` must compile. Exactly one error may be reported, so that a user reads
-the sentence and not what follows from it.
+the sentence and not what follows from it; and 12 lines in all, or as many as a second line `// lines:` says.
 """
 import concurrent.futures
 import os
@@ -14,8 +14,10 @@ import sys
 
 
 def check(compiler, include, path):
-    first = path.read_text().splitlines()[0]
+    first, second = path.read_text().splitlines()[:2]
     expected = re.match(r"// expect: (.+)", first)
+    lines = re.match(r"// lines: (\d+)", second)
+    longest = int(lines[1]) if lines else 12
     # The language of the messages must not depend on the user's.
     run = subprocess.run(
         [compiler, "-std=c++20", "-fsyntax-only", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I", include, str(path)],
@@ -29,6 +31,8 @@ def check(compiler, include, path):
         return f"{len(errors)} errors, not one:\n" + "\n".join(errors)
     if expected[1] not in errors[0]:
         return f"expected: {expected[1]}\n     got: {errors[0]}"
+    if run.stderr.count("\n") > longest:
+        return f"{run.stderr.count(chr(10))} lines, more than {longest}:\n{run.stderr}"
     return ""
 
 

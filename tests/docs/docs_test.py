@@ -7,6 +7,7 @@ A comment on the line before a code block says what is done with it:
   <!-- test: python [MODULE...] -->  it runs in that folder, and prints something; skipped where a module is not installed
   <!-- test: file PATH -->       the file has it, word for word
   <!-- test: fresh machine -->   tests/bare/run.sh runs it, in the source tree, on a machine with nothing installed
+The examples at the heads of public headers compile, with the names of example_names.hpp, but for those with "..." in them.
 Parts that need the program are skipped, and that is said, when it is not built. `--write-types` puts what the program says of
 its drivers into docs/chips.md. The tests of each requirement are listed in BUILD_DIR/requirements.txt.
 """
@@ -93,6 +94,60 @@ def check_blocks(source, build, compiler, program):
         print(f"skipped: {skipped} blocks that need the program, which is not built")
 
 
+# How paragraphs begin that stand at the head of a header as examples do, and are no C++.
+NOT_CODE = {
+    "bench.json:7:43": "a problem, as it is printed",
+    "12:00:00.123": "an event on a console",
+    '{"timestamp"': "a datagram",
+    '"tls": {': "of a configuration",
+    "zero  = 2^bits": "a formula",
+    "span  = 2^bits": "a formula",
+}
+
+
+def examples(header):
+    """The indented blocks of the first comment: (line number, text) of each."""
+    comment = re.match(r"(?:///.*\n)*", header.read_text())[0]
+    for block in re.finditer(r"(?<=^///\n)(?:///     .*\n(?:///\n(?=///     ))?)+", comment, re.M):
+        text = re.sub(r"^///(?:     )?", "", block[0], flags=re.M)
+        for begin in NOT_CODE:
+            text = re.sub(rf"(?:^|(?<=\n\n)){re.escape(begin)}.*?(?:\n\n|\Z)", "", text, flags=re.S)
+        if text:
+            yield comment.count("\n", 0, block.start()) + 1, text
+
+
+def check_examples(source, compiler):
+    """Each in a function, or in a namespace if it defines what only these can have. Two runs of the compiler, since one
+    takes more memory."""
+    headers = sorted((source / "include").rglob("*.hpp"))
+    count = left_out = 0
+    for half in (headers[0::2], headers[1::2]):
+        includes, blocks = ['#include "example_names.hpp"'], []
+        for header in half:
+            name = header.relative_to(source)
+            includes.append(f'#include "{name.relative_to("include")}"')
+            for line, text in examples(header):
+                if "..." in text:
+                    left_out += 1
+                    continue
+                count += 1
+                if text.startswith("template <> struct rtdata::"):
+                    begin, end = "", ""
+                elif re.match(r"(?:class|struct|enum|int main)\b", text) and text.endswith(("\n}\n", "\n};\n")):
+                    begin, end = f"namespace example::of{count} {{", "}"
+                else:
+                    begin, end = f"namespace example {{ Answer of{count}() {{", "return {}; } }"
+                blocks.append(f'{begin}\n#line {line} "{name}"\n{text}\n{end}')
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "examples.cpp"
+            file.write_text("\n".join(includes + blocks))
+            done = run([compiler, "-std=c++20", "-fsyntax-only", "-Werror=unused-result", f"-I{source}/include",
+                        f"-I{source}/tests/docs", file])
+        if done.returncode != 0:
+            problem("examples at the heads of headers", "do not compile:\n" + done.stderr)
+    print(f"{count} examples of headers compile, or are told below; {left_out} with ... are left out")
+
+
 def check_links(source):
     for page in pages(source):
         text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.S | re.M)
@@ -120,7 +175,11 @@ def check_paths(source):
 
 
 def check_errors(source):
-    ids = re.findall(r'case Errc::\w+: return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
+    ids = re.findall(r'case Errc::\w+:\s+return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
+    enumerators = "|".join(name.replace("-", "_") for name in ids if "-" in name)
+    for path in (source / "include").rglob("*.hpp"):
+        for word in re.findall(rf"^ *//.*?(?<!::)\b({enumerators})\b", path.read_text(), re.M):
+            problem(path.relative_to(source), f"calls an error {word}, whose id is {word.replace('_', '-')}")
     header = (source / "include/rtdata/data/problem.hpp").read_text()
     listed = re.search(r"Ids in use: (.*?)\. They do not", header, re.S)
     ids += re.findall(r"[a-z-]+", listed[1].replace("///", " "))
@@ -313,6 +372,7 @@ def main():
         check_drivers_page(source, program, rewrite=True)
         return 0 if program else 1
     check_blocks(source, build, compiler, program)
+    check_examples(source, compiler)
     check_links(source)
     check_paths(source)
     check_errors(source)

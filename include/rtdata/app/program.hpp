@@ -1,4 +1,5 @@
-/// The program `rtdata` as a function, so that a program of your own can run configurations with types of its own:
+/// run_program: the program `rtdata` as a function, so that a program of your own can run configurations with types of
+/// its own:
 ///
 ///     int main(int argc, char** argv) {
 ///       rtdata::Registry registry = rtdata::standard_registry();

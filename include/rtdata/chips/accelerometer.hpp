@@ -1,8 +1,9 @@
 /// Accelerometer: acceleration of an ADXL345 (16 g), ADXL375 (200 g) or LIS3DH (16 g) on I2C or SPI.
 ///
-///     rtdata::DriverSensor<rtdata::Accelerometer> shock(loop, {.name = "shock", .rate = 100_Hz}, bus, {.address =
-///     0x53},
-///                                                       {.model = AccelerometerModel::adxl375, .sample_rate = 800});
+///     rtdata::DriverSensor<rtdata::Accelerometer> shock(loop, {.name = "shock", .rate = 100_Hz}, bus,
+///                                                       {.address = 0x53},
+///                                                       {.model = rtdata::AccelerometerModel::adxl375,
+///                                                        .sample_rate = 800});
 ///
 /// The chip measures by itself at `sample_rate` and keeps up to 32 samples in a FIFO, which each tick of the sensor
 /// empties. Times, losses, lost settings: inertial.hpp. Both ADXL have the same identity, so the driver cannot tell

@@ -178,8 +178,8 @@ class Ads1x15 {
     if (voltage) {
       voltages_.voltages[next_] = *voltage;
     } else {
-      mistakes_.push_back(chip.error(static_cast<Errc>(voltage.error().code.value()), what,
-                                     detail::field_of(channel) + ": " + voltage.error().why, voltage.error().advice));
+      mistakes_.push_back(at_place(chip, voltage.error()));
+      mistakes_.back().why = detail::field_of(channel) + ": " + mistakes_.back().why;
     }
     if (++next_ < config_.channels.size()) return {};
     if (mistakes_.size() < config_.channels.size()) out.add(voltages_);

@@ -2,7 +2,8 @@
 /// MS5611 on I2C or SPI.
 ///
 ///     rtdata::DriverSensor<rtdata::Barometer> air(loop, {.name = "air", .rate = 10_Hz}, bus, {.address = 0x76},
-///                                                 {.model = BarometerModel::bmp280, .pressure_oversampling = 16});
+///                                                 {.model = rtdata::BarometerModel::bmp280,
+///                                                  .pressure_oversampling = 16});
 ///
 /// Each tick starts one measurement and reads it when the chip has had its time (7 ms, with 16-fold oversampling of
 /// both 76 ms; a BMP581: 5 and 17 ms); the bus is free for others meanwhile, and the event has the time of the start.
@@ -595,10 +596,7 @@ class Barometer {
   }
   Reading<BarometerReading> reading_of(RegisterDevice& chip, const Result<AirMeasurement>& air) const {
     auto made = air ? reading(*air, config_.reference_pressure) : Result<BarometerReading>(air.error());
-    if (!made) {
-      const Error& error = made.error();
-      return Unreadable{chip.error(static_cast<Errc>(error.code.value()), what, error.why, error.advice)};
-    }
+    if (!made) return Unreadable{at_place(chip, made.error())};
     return *made;
   }
 

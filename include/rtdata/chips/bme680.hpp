@@ -314,8 +314,7 @@ class Bme680 {
     if ((bytes[0] & new_data) == 0) return chip.error(Errc::timed_out, what, "the measurement takes too long");
     const auto reading = trimming_.measurement(bytes, has_gas());
     if (!reading) {
-      const Error& error = reading.error();
-      out.unreadable(chip.error(static_cast<Errc>(error.code.value()), what, error.why, error.advice));
+      out.unreadable(at_place(chip, reading.error()));
       return {};
     }
     air_ = std::clamp(reading->temperature, -40.0, 85.0);

@@ -2,7 +2,7 @@
 /// LSM6DSOX or LSM9DS1 on I2C or SPI (an MPU-6050: I2C).
 ///
 ///     rtdata::DriverSensor<rtdata::Imu> imu(loop, {.name = "imu", .rate = 50_Hz}, bus, {.address = 0x6a},
-///                                           {.model = ImuModel::lsm6dso, .sample_rate = 416});
+///                                           {.model = rtdata::ImuModel::lsm6dso, .sample_rate = 416});
 ///
 /// The chip measures by itself at `sample_rate` and keeps its samples in a FIFO, which each tick of the sensor empties:
 /// at 50 Hz and 416 samples a second, some eight at a time. Times, losses, lost settings: inertial.hpp. When the FIFO

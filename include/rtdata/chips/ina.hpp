@@ -1,7 +1,7 @@
 /// Ina: voltage, current and power by an INA219, INA226 or INA228 of Texas Instruments on I2C.
 ///
 ///     rtdata::DriverSensor<rtdata::Ina> battery(loop, {.name = "battery", .rate = 10_Hz}, bus, {.address = 0x40},
-///                                               {.model = InaModel::ina219, .shunt_resistance = 0.1});
+///                                               {.model = rtdata::InaModel::ina219, .shunt_resistance = 0.1});
 ///
 /// The chip measures by itself, some 900 times a second (INA219) or 450 times (INA226, INA228, both inputs); a tick
 /// reads the last of each. A tick before the next measurement is ready is counted as repeated; no measurement for a

@@ -5,9 +5,11 @@
 /// The types `imu` and `accelerometer` (imu.hpp, accelerometer.hpp) use it and hold the tables of models:
 ///
 ///     class Tilt {                                       // a driver
-///       rtdata::InertialChip chip_{model, settings};
-///       Result<void> read(RegisterDevice& chip, Samples<Value>& out) {
-///         return chip_.read(chip, out, [](const InertialSample& sample) { return Value{sample.acceleration[0]}; });
+///       rtdata::InertialChip chip_{model, models, settings};
+///       rtdata::Result<void> read(rtdata::RegisterDevice& chip, rtdata::Samples<Value>& out) {
+///         return chip_.read(chip, out, [](const rtdata::InertialSample& sample) {
+///           return Value{sample.acceleration[0]};
+///         });
 ///       }
 ///     };
 ///

@@ -2,7 +2,8 @@
 /// of a LIS3MDL or LSM9DS1 on SPI, too.
 ///
 ///     rtdata::DriverSensor<rtdata::Magnetometer> compass(loop, {.name = "compass", .rate = 50_Hz}, bus,
-///                                                        {.address = 0x1c}, {.model = MagnetometerModel::lis3mdl});
+///                                                        {.address = 0x1c},
+///                                                        {.model = rtdata::MagnetometerModel::lis3mdl});
 ///
 /// The chip measures by itself, `sample_rate` times a second, and keeps the newest sample only: each tick reads it;
 /// without a new sample since the last tick there is no event (an HMC5883L cannot tell and gives the same value again).

@@ -55,10 +55,7 @@ class Max31855 {
     std::array<std::uint8_t, 4> bytes{};
     if (auto done = chip.read(bytes); !done) return std::move(done).error();
     auto reading = decode(bytes);
-    if (!reading) {
-      Error& error = reading.error();
-      return Unreadable{chip.error(static_cast<Errc>(error.code.value()), error.what, error.why, error.advice)};
-    }
+    if (!reading) return Unreadable{at_place(chip, reading.error())};
     return *reading;
   }
 

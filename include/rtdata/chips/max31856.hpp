@@ -1,7 +1,8 @@
 /// Max31856: a thermocouple of any kind at a MAX31856 of Maxim on SPI.
 ///
 ///     rtdata::DriverSensor<rtdata::Max31856> oven(loop, {.name = "oven", .rate = 2_Hz}, bus,
-///                                                 {.chip_select = 0, .mode = 1}, {.thermocouple = Thermocouple::k});
+///                                                 {.chip_select = 0, .mode = 1},
+///                                                 {.thermocouple = rtdata::Thermocouple::k});
 ///
 /// Each tick starts one measurement and reads it when it is done; the bus is free meanwhile. A measurement takes 0.23 s
 /// with a filter for mains of 50 Hz, 0.2 s for 60 Hz, plus 40 or 33 ms for each further measurement of `average`. A
@@ -112,16 +113,14 @@ class Max31856 {
   Reading<ThermocoupleReading> read(SpiDevice& chip) {
     std::array<std::uint8_t, register_count> bytes{};
     if (auto done = read_registers(chip, bytes); !done) return std::move(done).error();
-    const auto unreadable = [&](const Error& error) {
-      return Unreadable{chip.error(static_cast<Errc>(error.code.value()), what, error.why, error.advice)};
-    };
     if (!has_settings(bytes, config_)) {
       if (auto done = set_up(chip); !done) return std::move(done).error();
-      return unreadable({Errc::bad_data, what, "", "it has lost its settings since the start", "check its supply"});
+      return Unreadable{
+          chip.error(Errc::bad_data, what, "it has lost its settings since the start", "check its supply")};
     }
     if ((bytes[0] & one_shot) != 0) return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
     auto reading = decode(bytes);
-    if (!reading) return unreadable(reading.error());
+    if (!reading) return Unreadable{at_place(chip, reading.error())};
     return *reading;
   }
 

@@ -144,10 +144,7 @@ class Max31865 {
       return chip.error(Errc::timed_out, what, "the measurement takes too long", "");
     if (bytes[0] != settings_of(config_)) return lost(chip);
     auto reading = decode(bytes, config_);
-    if (!reading) {
-      const Error& error = reading.error();
-      return Unreadable{chip.error(static_cast<Errc>(error.code.value()), what, error.why, error.advice)};
-    }
+    if (!reading) return Unreadable{at_place(chip, reading.error())};
     return *reading;
   }
 

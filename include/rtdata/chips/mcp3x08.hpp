@@ -2,7 +2,7 @@
 ///
 ///     rtdata::DriverSensor<rtdata::Mcp3x08> adc(loop, {.name = "adc", .rate = 100_Hz}, bus, {.chip_select = 0},
 ///                                               {.channels = {{.name = "throttle", .input = "0"}, {.input = "2-3"}},
-///                                                .model = AdcModel::mcp3208, .reference_voltage = 3.3});
+///                                                .model = rtdata::AdcModel::mcp3208, .reference_voltage = 3.3});
 ///     loop.subscribe("adc", [](const rtdata::EventView& event) { ... });  // a record of throttle and ain2_ain3, in V
 ///
 /// Each tick reads the channels one after the other in one message, 0.025 ms apart at a clock of 1 MHz; the event has

@@ -65,10 +65,7 @@ class MhZ19 {
           Errc::bad_data, "cannot read the MH-Z19", "it echoes the request",
           "switch off the echo of the adapter, or check that its RX and TX are not connected to each other")};
     Result<Co2Reading> reading = decode(answer);
-    if (!reading) {
-      const Error& e = reading.error();
-      return Unreadable{line.error(Errc::bad_data, "cannot read the MH-Z19", e.why, "check its wires and its supply")};
-    }
+    if (!reading) return Unreadable{at_place(line, reading.error())};
     return *reading;
   }
 
@@ -82,7 +79,7 @@ class MhZ19 {
   static Result<Co2Reading> decode(std::span<const std::uint8_t, 9> answer) {
     constexpr unsigned most = 10000;
     const auto refuse = [](std::string why) {
-      return Error{Errc::bad_data, "cannot read the MH-Z19", "", std::move(why), ""};
+      return Error{Errc::bad_data, "cannot read the MH-Z19", "", std::move(why), "check its wires and its supply"};
     };
     if (answer[8] != checksum(answer)) return refuse("the checksum of its answer is wrong");
     if (answer[0] != 0xff || answer[1] != 0x86) return refuse("this is not the answer to the request");

@@ -1,7 +1,7 @@
 /// Sht: thermometers and hygrometers SHT30, SHT31, SHT35 and SHT40, SHT41, SHT45 of Sensirion on I2C.
 ///
 ///     rtdata::DriverSensor<rtdata::Sht> room(loop, {.name = "room", .rate = 1_Hz}, bus, {.address = 0x44},
-///                                            {.model = ShtModel::sht3x});
+///                                            {.model = rtdata::ShtModel::sht3x});
 ///
 /// Each tick starts one measurement of high repeatability and reads it when the chip has had its time (SHT3x 16 ms,
 /// SHT4x 9 ms); the bus is free for others meanwhile, and the event has the time of the start. Both numbers have a

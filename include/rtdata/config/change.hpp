@@ -1,7 +1,7 @@
 /// PlanChange: what happens to each part of a running system when a new configuration is applied.
 ///
-///     SystemPlan next = plan_system(registry, load_config("bench.json"));
-///     PlanChange change = plan_change(plan, next);
+///     rtdata::SystemPlan next = rtdata::plan_system(registry, rtdata::load_config("bench.json"));
+///     rtdata::PlanChange change = rtdata::plan_change(plan, next);
 ///     std::cout << change.text();
 ///     // sensor chamber: changed while it runs (rate)
 ///     // sensor door: restarted (it uses bus i2c1)
@@ -16,7 +16,7 @@
 ///
 /// A StepwiseChange applies a plan in steps while the loop turns, for changes of many sensors:
 ///
-///     StepwiseChange change(system, next);
+///     rtdata::StepwiseChange change(system, next);
 ///     while (change.step(2ms)) { /* in a later turn: loop.post(...) */ }
 ///
 /// PlanChange: a value; any thread. StepwiseChange: the loop's.

@@ -1,10 +1,10 @@
-/// Configuration files: reading them, and adding formats.
+/// load_config: reads configuration files; ConfigFormat: adds formats.
 ///
 /// `load_config` reads a file in the format of its extension (JSON with comments is included). It throws nothing: every
 /// mistake that it finds is in the document. Extensions: ".json", ".jsonc", or none.
 ///
-///     ConfigDocument document = load_config("bench.json");
-///     ... checks add to document.problems ...
+///     rtdata::ConfigDocument document = rtdata::load_config("bench.json");
+///     check(document.root, document.problems);   // mistakes that you find
 ///     if (!document.problems.empty()) { std::cerr << document.report(); return 2; }
 ///     use(document.root);
 ///
@@ -14,10 +14,11 @@
 /// `with_member` and `without_member` change one member of an object in the text of JSON; comments, order and layout
 /// stay:
 ///
-///     text = with_member(document, document.root.at("sensors[0]"), "rate", ConfigItem::of("50 Hz"));
+///     text = rtdata::with_member(document, document.root.at("sensors[0]"), "rate", rtdata::ConfigItem::of("50 Hz"));
 ///
 /// Limits: a file of 64 MiB, 64 levels of nesting. Text is UTF-8, with or without a byte order mark.
-/// Values; any thread. `load_config` blocks on the file system: call it before a loop runs, or on a lane.
+/// Values; a ConfigFormats is its holder's; any thread. `load_config` blocks on the file system: call it before a loop
+/// runs, or on a lane.
 #pragma once
 
 #include <memory>

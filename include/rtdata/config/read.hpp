@@ -1,20 +1,20 @@
 /// read_config: from a configuration item to a component's `Config`, by its parameters.
 ///
-///     Problems problems;
+///     rtdata::Problems problems;
 ///     UartConfig config;
-///     if (!read_config(item, config, problems)) ...   // every mistake is in `problems`
+///     if (!rtdata::read_config(item, config, problems)) show(problems);   // all mistakes
 ///
-///     auto config = read_config<UartConfig>(item);      // or throws ConfigError with all of them
-///     for (const ParameterInfo& p : parameters_of<UartConfig>()) ...
-///     std::cout << schema_of<UartConfig>("uart", "a serial line");
+///     auto good = rtdata::read_config<UartConfig>(item);                  // or throws ConfigError with all of them
+///     for (const rtdata::ParameterInfo& p : rtdata::parameters_of<UartConfig>()) std::cout << p.key << "\n";
+///     std::cout << rtdata::schema_of<UartConfig>("uart", "a serial line");
 ///
 /// It reports unknown keys (with the nearest known one), missing required keys, and values of the wrong type, out of
 /// range, of the wrong length or not among the choices. Rules over several parameters (a minimum below a maximum) go
 /// into a function next to the Config, which is called if everything else is right:
 ///
-///     void check_config(const UartConfig& config, const ConfigItem& item, Problems& problems);
+///     void check_config(const UartConfig& config, const rtdata::ConfigItem& item, rtdata::Problems& problems);
 ///
-/// Any thread.
+/// Functions without state; any thread.
 #pragma once
 
 #include <array>

@@ -1,18 +1,19 @@
 /// Registry: the types of sensors, sinks, buses and outputs that configurations can use, and how each is made from its
 /// item.
 ///
-///     Registry registry;
-///     registry.add_sensor<AnalogConfig>(
+///     rtdata::Registry registry;
+///     registry.add_sensor<rtdata::AnalogConfig>(
 ///         "analog", "a sensor behind a converter of the kernel",
-///         [](const AnalogConfig& config) { return analog_description(config.unit); },
-///         makes<AnalogSensor>);   // or a function (Loop&, const SensorConfig&, const AnalogConfig&)
+///         [](const rtdata::AnalogConfig& config) { return rtdata::analog_description(config.unit); },
+///         rtdata::makes<rtdata::AnalogSensor>);   // or a function (Loop&, const SensorConfig&, const AnalogConfig&)
 ///     registry.add_sink<LinesConfig>(
 ///         "lines", "one line per event", [](const LinesConfig& config) { return config.path; },
-///         [](Loop& loop, const LinesConfig& config) {
-///           return Sink(loop, config.sink, std::make_unique<Lines>(config));
+///         [](rtdata::Loop& loop, const LinesConfig& config) {
+///           return rtdata::Sink(loop, config.sink, std::make_unique<Lines>(config));
 ///         });
 ///     registry.add_bus<WireConfig>(
-///         "wire", "one wire", [](Runtime&, const std::string&, const WireConfig& config) { return Wire(config); });
+///         "wire", "one wire",
+///         [](rtdata::Runtime&, const std::string&, const WireConfig& config) { return Wire(config); });
 ///
 /// A factory may return any class derived from AnySensor or Sink; for a bus, any class. A factory that takes a
 /// FeedConfig instead of a SensorConfig makes sensors without a schedule and without `rate`. A function `ReadTime
@@ -22,12 +23,13 @@
 /// A part uses another part by its name: a parameter declared with `names_part("bus", "wire")` holds the name of a bus
 /// of that type. That part exists when the factory is called, which takes `const Parts&` as its last argument:
 ///
-///     [](Loop& loop, const SensorConfig& common, const ProbeConfig& config, const Parts& parts) {
+///     const auto make_probe = [](rtdata::Loop& loop, const rtdata::SensorConfig& common, const ProbeConfig& config,
+///                                const rtdata::Parts& parts) {
 ///       return Probe(loop, common, parts.get<Wire>("bus", config.bus));
-///     }
+///     };
 ///
 /// Owner: the program; nothing is global. Filled by one thread, then read by any.
-/// Errors: adding a type or a kind twice throws SetupError (bad_argument).
+/// Errors: adding a type or a kind twice throws SetupError (bad-argument).
 #pragma once
 
 #include <concepts>

@@ -1,15 +1,15 @@
 /// System: the parts that a configuration file names (tiers, buses, sinks, sensors), made and running on a loop.
 ///
-///     Registry registry = ...;                                // which types there are
-///     SystemPlan plan = plan_system(registry, load_config("bench.json"));
+///     rtdata::Registry registry = rtdata::standard_registry();   // which types there are
+///     rtdata::SystemPlan plan = rtdata::plan_system(registry, rtdata::load_config("bench.json"));
 ///     if (!plan.good()) { std::cerr << plan.report(); return 2; }
-///     Runtime runtime(plan.runtime_config());
-///     Loop loop(runtime, plan.loop_config());
-///     System system(loop, registry, plan);
+///     rtdata::Runtime runtime(plan.runtime_config());
+///     rtdata::Loop loop(runtime, plan.loop_config());
+///     rtdata::System system(loop, registry, plan);
 ///     system.sensor("chamber").set_rate(50_Hz);
 ///     system.add_sensor(item);
 ///     system.remove_sensor("chamber");
-///     system.apply(plan_system(registry, load_config("bench.json")));   // what has changed in the file
+///     system.apply(rtdata::plan_system(registry, rtdata::load_config("bench.json")));  // what has changed in the file
 ///     loop.run_for(10s);
 ///
 /// Making a plan touches no device. It finds every mistake of the whole file: mistakes in single items, names that are

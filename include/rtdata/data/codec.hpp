@@ -6,14 +6,14 @@
 /// can then use it.
 ///
 /// A codec object is used by one thread at a time and keeps memory from event to event; make one per sink. Times are
-/// ns since the Unix epoch. Errors: does_not_fit (raw: too long or absent), bad_data (bytes that do not decode),
-/// out_of_range and bad_argument (a value that its field cannot take), each naming the field. After an error of
+/// ns since the Unix epoch. Errors: does-not-fit (raw: too long or absent), bad-data (bytes that do not decode),
+/// out-of-range and bad-argument (a value that its field cannot take), each naming the field. After an error of
 /// `encode` nothing has been appended.
 ///
-///     auto codec = CodecRegistry::standard().make("json").or_throw();
+///     auto codec = rtdata::CodecRegistry::standard().make("json").or_throw();
 ///     std::vector<std::byte> bytes;
-///     encode(*codec, "climate", event, bytes).or_throw();
-///     Decoded<Climate> same = decode<Climate>(*codec, bytes).or_throw();
+///     rtdata::encode(*codec, "climate", event, bytes).or_throw();
+///     rtdata::Decoded<Climate> same = rtdata::decode<Climate>(*codec, bytes).or_throw();
 #pragma once
 
 #include <cstddef>
@@ -108,7 +108,7 @@ struct RawConfig {
 /// origin, then the fields in order, without their names. Nested records are flattened; an array of numbers, bools,
 /// chars or enumerations is one value, its elements one after the other; an array of texts is one value in which
 /// each text has a u8 size of its own. Text is as long as its content, an enumeration is its number, a bool is 0 or 1.
-/// A value of more than 255 bytes and an absent optional are errors: does_not_fit.
+/// A value of more than 255 bytes and an absent optional are errors: does-not-fit.
 std::unique_ptr<Codec> make_raw_codec(RawConfig config = {});
 
 struct CsvConfig {
@@ -139,11 +139,11 @@ class CodecRegistry {
   /// The shipped ones, each with the default settings.
   static CodecRegistry standard();
 
-  /// Errors: bad_name, when the name is taken or empty, or when there is no factory.
+  /// Errors: bad-name, when the name is taken or empty, or when there is no factory.
   Result<void> add(std::string name, Factory factory);
   /// Null when there is none; valid as long as the registry.
   const Factory* find(std::string_view name) const noexcept;
-  /// A new codec. Errors: not_found, with the nearest name.
+  /// A new codec. Errors: not-found, with the nearest name.
   Result<std::unique_ptr<Codec>> make(std::string_view name) const;
   /// In alphabetical order.
   std::vector<std::string> names() const;

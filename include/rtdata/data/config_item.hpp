@@ -5,7 +5,7 @@
 /// neither its parent nor its siblings. Each item knows the place in the file it came from and its path in the tree,
 /// and a copy keeps both, so that a message about a mistake can always show its place.
 ///
-///     ConfigItem config = load_config("bench.json").or_throw();
+///     rtdata::ConfigItem config = rtdata::load_config("bench.json").or_throw();
 ///     double volts = config.at("sensors", 0, "span_voltage").get<double>();   // or at("sensors[0].span_voltage")
 ///     auto topics = config.at("sinks[0].topics").get<std::vector<std::string>>();
 ///     auto name = config.value_or("name", std::string("unnamed"));
@@ -143,7 +143,7 @@ class ConfigItem {
 
   /// Sets the value: any type that `get` returns, a string literal, nullptr or another item with its children. Parent
   /// and siblings stay as they are, and so do place and path. A number that is not finite throws SetupError
-  /// (bad_argument): no file can hold it.
+  /// (bad-argument): no file can hold it.
   template <class T>
   void set(const T& value) {
     if constexpr (std::is_same_v<T, ConfigItem>)
@@ -156,7 +156,7 @@ class ConfigItem {
       ConfigValue<T>::write(value, *this);
   }
   /// Sets a child of an object, adding it at the end when there is none. A null item becomes an object first; any other
-  /// kind throws SetupError (bad_argument).
+  /// kind throws SetupError (bad-argument).
   template <class T>
   void set(std::string_view key, const T& value) {
     child_for(key).set(value);

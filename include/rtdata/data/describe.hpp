@@ -23,8 +23,8 @@
 ///
 ///     enum class State { idle, running };
 ///     constexpr auto describe(rtdata::type_tag<State>) {
-///       return rtdata::enumeration("state", rtdata::value("idle", State::idle), rtdata::value("running",
-///       State::running));
+///       return rtdata::enumeration("state", rtdata::value("idle", State::idle),
+///                                  rtdata::value("running", State::running));
 ///     }
 ///
 /// Units are UCUM strings. A missing `describe`, a member left out of it, a name used twice and a type that cannot be
@@ -135,7 +135,7 @@ concept DescribedEnum = std::is_enum_v<T> && requires {
 };
 
 /// The description of T. Made at the first call; lives to the end of the program. The first call throws `SetupError`
-/// (bad_description) if the description is invalid, for example too large.
+/// (bad-description) if the description is invalid, for example too large.
 template <class T>
 const std::shared_ptr<const Description>& description_of();
 
@@ -421,7 +421,8 @@ std::shared_ptr<const Description> describe_type(const RecordSpec<Fields...>& sp
 template <class T>
 constexpr bool check_describe() {
   constexpr bool described = Described<T>;
-  static_assert(described,
+  constexpr bool told = requires { rtdata_fields(type_tag<T>{}); };  // what is wrong with its RTDATA_FIELDS
+  static_assert(described || told,
                 "rtdata: this type has no `describe`: write RTDATA_FIELDS(Type, (member, \"unit\"), ...) in it, see "
                 "rtdata/data/describe.hpp");
   if constexpr (described) {
@@ -481,24 +482,47 @@ inline const std::shared_ptr<const Description>& description_of() {
 }  // namespace rtdata
 
 /// RTDATA_FIELDS(Type, (member, "unit"), (member), ...): the `describe` of a struct; inside the struct, naming every
-/// member. The record and its fields are called as they are written.
-#define RTDATA_FIELDS(Type, ...)                                                                            \
-  friend constexpr auto describe(::rtdata::type_tag<Type>) {                                                \
-    return ::rtdata::record(#Type __VA_OPT__(RTDATA_DETAIL_EXPAND(RTDATA_DETAIL_EACH(Type, __VA_ARGS__)))); \
+/// member, 100 at most. The record and its fields are called as they are written.
+// `describe` is a template so that g++ reports a misspelt member once. The commas stand for 100 absent fields.
+// clang-format off
+#define RTDATA_FIELDS(Type, ...) \
+  friend void rtdata_fields(::rtdata::type_tag<Type>) {} \
+  template <int = 0> \
+  friend constexpr auto describe(::rtdata::type_tag<Type>) { \
+    using RtdataOwner [[maybe_unused]] = Type; \
+    return ::rtdata::record(#Type \
+      RTDATA_DETAIL_EACH(__VA_ARGS__ __VA_OPT__(,) , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , \
+      , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , , \
+      , , , , , , , , , , ,)); \
   }
-
-#define RTDATA_DETAIL_PARENS ()
-#define RTDATA_DETAIL_EXPAND(...) \
-  RTDATA_DETAIL_EXPAND3(RTDATA_DETAIL_EXPAND3(RTDATA_DETAIL_EXPAND3(RTDATA_DETAIL_EXPAND3(__VA_ARGS__))))
-#define RTDATA_DETAIL_EXPAND3(...) \
-  RTDATA_DETAIL_EXPAND2(RTDATA_DETAIL_EXPAND2(RTDATA_DETAIL_EXPAND2(RTDATA_DETAIL_EXPAND2(__VA_ARGS__))))
-#define RTDATA_DETAIL_EXPAND2(...) \
-  RTDATA_DETAIL_EXPAND1(RTDATA_DETAIL_EXPAND1(RTDATA_DETAIL_EXPAND1(RTDATA_DETAIL_EXPAND1(__VA_ARGS__))))
-#define RTDATA_DETAIL_EXPAND1(...) __VA_ARGS__
-#define RTDATA_DETAIL_EACH(Type, Item, ...)              \
-  , RTDATA_DETAIL_FIELD(Type, RTDATA_DETAIL_UNWRAP Item) \
-        __VA_OPT__(RTDATA_DETAIL_AGAIN RTDATA_DETAIL_PARENS(Type, __VA_ARGS__))
-#define RTDATA_DETAIL_AGAIN() RTDATA_DETAIL_EACH
-#define RTDATA_DETAIL_UNWRAP(...) __VA_ARGS__
-#define RTDATA_DETAIL_FIELD(Type, ...) RTDATA_DETAIL_MEMBER(Type, __VA_ARGS__)
-#define RTDATA_DETAIL_MEMBER(Type, Member, ...) ::rtdata::field(#Member, &Type::Member __VA_OPT__(, ) __VA_ARGS__)
+#define RTDATA_DETAIL_EACH(f0, f1, f2, f3, f4, f5, f6, f7, f8, f9, f10, f11, f12, f13, f14, f15, f16, f17, f18, f19, \
+                           f20, f21, f22, f23, f24, f25, f26, f27, f28, f29, f30, f31, f32, f33, f34, f35, f36, f37, \
+                           f38, f39, f40, f41, f42, f43, f44, f45, f46, f47, f48, f49, f50, f51, f52, f53, f54, f55, \
+                           f56, f57, f58, f59, f60, f61, f62, f63, f64, f65, f66, f67, f68, f69, f70, f71, f72, f73, \
+                           f74, f75, f76, f77, f78, f79, f80, f81, f82, f83, f84, f85, f86, f87, f88, f89, f90, f91, \
+                           f92, f93, f94, f95, f96, f97, f98, f99, more, ...) \
+  RTDATA_DETAIL_ONE(f0) RTDATA_DETAIL_ONE(f1) RTDATA_DETAIL_ONE(f2) RTDATA_DETAIL_ONE(f3) RTDATA_DETAIL_ONE(f4) \
+  RTDATA_DETAIL_ONE(f5) RTDATA_DETAIL_ONE(f6) RTDATA_DETAIL_ONE(f7) RTDATA_DETAIL_ONE(f8) RTDATA_DETAIL_ONE(f9) \
+  RTDATA_DETAIL_ONE(f10) RTDATA_DETAIL_ONE(f11) RTDATA_DETAIL_ONE(f12) RTDATA_DETAIL_ONE(f13) RTDATA_DETAIL_ONE(f14) \
+  RTDATA_DETAIL_ONE(f15) RTDATA_DETAIL_ONE(f16) RTDATA_DETAIL_ONE(f17) RTDATA_DETAIL_ONE(f18) RTDATA_DETAIL_ONE(f19) \
+  RTDATA_DETAIL_ONE(f20) RTDATA_DETAIL_ONE(f21) RTDATA_DETAIL_ONE(f22) RTDATA_DETAIL_ONE(f23) RTDATA_DETAIL_ONE(f24) \
+  RTDATA_DETAIL_ONE(f25) RTDATA_DETAIL_ONE(f26) RTDATA_DETAIL_ONE(f27) RTDATA_DETAIL_ONE(f28) RTDATA_DETAIL_ONE(f29) \
+  RTDATA_DETAIL_ONE(f30) RTDATA_DETAIL_ONE(f31) RTDATA_DETAIL_ONE(f32) RTDATA_DETAIL_ONE(f33) RTDATA_DETAIL_ONE(f34) \
+  RTDATA_DETAIL_ONE(f35) RTDATA_DETAIL_ONE(f36) RTDATA_DETAIL_ONE(f37) RTDATA_DETAIL_ONE(f38) RTDATA_DETAIL_ONE(f39) \
+  RTDATA_DETAIL_ONE(f40) RTDATA_DETAIL_ONE(f41) RTDATA_DETAIL_ONE(f42) RTDATA_DETAIL_ONE(f43) RTDATA_DETAIL_ONE(f44) \
+  RTDATA_DETAIL_ONE(f45) RTDATA_DETAIL_ONE(f46) RTDATA_DETAIL_ONE(f47) RTDATA_DETAIL_ONE(f48) RTDATA_DETAIL_ONE(f49) \
+  RTDATA_DETAIL_ONE(f50) RTDATA_DETAIL_ONE(f51) RTDATA_DETAIL_ONE(f52) RTDATA_DETAIL_ONE(f53) RTDATA_DETAIL_ONE(f54) \
+  RTDATA_DETAIL_ONE(f55) RTDATA_DETAIL_ONE(f56) RTDATA_DETAIL_ONE(f57) RTDATA_DETAIL_ONE(f58) RTDATA_DETAIL_ONE(f59) \
+  RTDATA_DETAIL_ONE(f60) RTDATA_DETAIL_ONE(f61) RTDATA_DETAIL_ONE(f62) RTDATA_DETAIL_ONE(f63) RTDATA_DETAIL_ONE(f64) \
+  RTDATA_DETAIL_ONE(f65) RTDATA_DETAIL_ONE(f66) RTDATA_DETAIL_ONE(f67) RTDATA_DETAIL_ONE(f68) RTDATA_DETAIL_ONE(f69) \
+  RTDATA_DETAIL_ONE(f70) RTDATA_DETAIL_ONE(f71) RTDATA_DETAIL_ONE(f72) RTDATA_DETAIL_ONE(f73) RTDATA_DETAIL_ONE(f74) \
+  RTDATA_DETAIL_ONE(f75) RTDATA_DETAIL_ONE(f76) RTDATA_DETAIL_ONE(f77) RTDATA_DETAIL_ONE(f78) RTDATA_DETAIL_ONE(f79) \
+  RTDATA_DETAIL_ONE(f80) RTDATA_DETAIL_ONE(f81) RTDATA_DETAIL_ONE(f82) RTDATA_DETAIL_ONE(f83) RTDATA_DETAIL_ONE(f84) \
+  RTDATA_DETAIL_ONE(f85) RTDATA_DETAIL_ONE(f86) RTDATA_DETAIL_ONE(f87) RTDATA_DETAIL_ONE(f88) RTDATA_DETAIL_ONE(f89) \
+  RTDATA_DETAIL_ONE(f90) RTDATA_DETAIL_ONE(f91) RTDATA_DETAIL_ONE(f92) RTDATA_DETAIL_ONE(f93) RTDATA_DETAIL_ONE(f94) \
+  RTDATA_DETAIL_ONE(f95) RTDATA_DETAIL_ONE(f96) RTDATA_DETAIL_ONE(f97) RTDATA_DETAIL_ONE(f98) RTDATA_DETAIL_ONE(f99) \
+  RTDATA_DETAIL_TOO_MANY(more)
+// clang-format on
+#define RTDATA_DETAIL_ONE(...) __VA_OPT__(, RTDATA_DETAIL_FIELD __VA_ARGS__)
+#define RTDATA_DETAIL_FIELD(Member, ...) ::rtdata::field(#Member, &RtdataOwner::Member __VA_OPT__(, ) __VA_ARGS__)
+#define RTDATA_DETAIL_TOO_MANY(...) __VA_OPT__(, RTDATA_FIELDS_takes_at_most_100_fields)

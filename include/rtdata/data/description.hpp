@@ -101,7 +101,7 @@ class Description {
  public:
   /// Checks names (see `is_name`), that no path is there twice (also differing in case only), and sizes; the paths
   /// time, origin, sequence and run are refused. A field of the record itself may be called PATH.name if PATH is a
-  /// value or an array of values in it: the field belongs to that value ("pressure.raw"). Errors: bad_description.
+  /// value or an array of values in it: the field belongs to that value ("pressure.raw"). Errors: bad-description.
   static Result<std::shared_ptr<const Description>> make(std::string name, std::vector<Field> fields, std::size_t size,
                                                          std::size_t alignment, bool is_of_changes = false);
 
@@ -131,7 +131,7 @@ class Description {
 
   /// `{"name": "climate", "fields": [{"name": "temperature", "type": "double", "unit": "Cel"}, ...]}`; keys "array",
   /// "optional", "capacity", "base", "values", "fields" where they apply. `from_json` lays the fields out as a C++
-  /// compiler would. Errors: bad_description.
+  /// compiler would. Errors: bad-description.
   std::string to_json() const;
   static Result<std::shared_ptr<const Description>> from_json(std::string_view json);
 
@@ -173,7 +173,7 @@ class DescriptionBuilder {
   /// A nested record.
   DescriptionBuilder& record(std::string name, const Description& description);
   DescriptionBuilder& record_array(std::string name, const Description& description, std::size_t count);
-  /// Errors: bad_description.
+  /// Errors: bad-description.
   Result<std::shared_ptr<const Description>> build();
 
  private:

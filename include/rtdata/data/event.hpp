@@ -5,7 +5,9 @@
 ///
 /// Values; any thread, as long as what they point to lives.
 ///
-///     loop.subscribe<Climate>("climate", [](const Event<Climate>& e) { print(e.time, e->temperature); });
+///     auto s = loop.subscribe<Climate>("climate", [](const rtdata::Event<Climate>& e) {
+///       print(e.time, e->temperature);
+///     });
 #pragma once
 
 #include <cstddef>
@@ -65,7 +67,7 @@ class EventView {
 
   /// The value of one of the description's leaves.
   Value value(const Leaf& leaf) const { return read(leaf, payload_.data()); }
-  /// The value at a path ("position.x"). Errors: bad_name when there is none, with the nearest name.
+  /// The value at a path ("position.x"). Errors: bad-name when there is none, with the nearest name.
   Result<Value> value(std::string_view path) const;
 
   /// The payload as a T, or null when T does not have the same meaning and the same layout in memory.

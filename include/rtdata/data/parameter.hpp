@@ -3,8 +3,8 @@
 ///     struct UartConfig {
 ///       std::string device;
 ///       std::uint32_t baud = 9600;
-///       Parity parity = Parity::none;
-///       Duration timeout = 100ms;
+///       rtdata::Parity parity = rtdata::Parity::none;
+///       rtdata::Duration timeout = 100ms;
 ///       std::optional<double> scale;
 ///       friend constexpr auto parameters(rtdata::type_tag<UartConfig>) {
 ///         return rtdata::parameter_list(

@@ -43,7 +43,7 @@ struct Problem {
 
   /// `file:line:column: path: message (did you mean "rate"?)`, without the empty parts.
   std::string text() const;
-  /// The same as an error of code bad_configuration.
+  /// The same as an error of code bad-configuration.
   Error error() const;
   bool operator==(const Problem&) const = default;
 };

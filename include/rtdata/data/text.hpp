@@ -8,7 +8,7 @@
 /// Memory layout, fixed because code without the type relies on it: alignment 1, size N + 2; two bytes with the length,
 /// low byte first, then N bytes, filled with zeros. So the capacity of a text of `size` bytes is `size - 2`.
 ///
-/// A value; any thread. Errors: does_not_fit.
+/// A value; any thread. Errors: does-not-fit.
 ///
 ///     rtdata::text<16> station = "north mast";
 ///     if (auto r = station.assign(line); !r) return r.error();
@@ -38,7 +38,7 @@ class text {
 
  public:
   constexpr text() noexcept = default;
-  /// Throws `SetupError` (does_not_fit) when longer than N bytes: for set-up. At run time use `make` or `assign`.
+  /// Throws `SetupError` (does-not-fit) when longer than N bytes: for set-up. At run time use `make` or `assign`.
   constexpr text(std::string_view content) {
     if (content.size() > N) detail::throw_text_too_long(content, N);
     set(content);
@@ -46,13 +46,13 @@ class text {
   constexpr text(const char* content) : text(std::string_view(content)) {}
   constexpr text(const std::string& content) : text(std::string_view(content)) {}
 
-  /// A text with this content. Errors: does_not_fit.
+  /// A text with this content. Errors: does-not-fit.
   static Result<text> make(std::string_view content) {
     text made;
     if (auto done = made.assign(content); !done) return std::move(done).error();
     return made;
   }
-  /// Replaces the content; on error it stays as it was. Errors: does_not_fit.
+  /// Replaces the content; on error it stays as it was. Errors: does-not-fit.
   Result<void> assign(std::string_view content) {
     if (content.size() > N) return detail::text_too_long(content, N);
     set(content);

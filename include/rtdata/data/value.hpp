@@ -2,9 +2,9 @@
 ///
 /// For code that works on any payload: tables, exports, configuration, limits. Typed code uses the struct itself.
 ///
-/// Functions without state; any thread. Errors name the field's path: out_of_range, bad_argument, does_not_fit.
+/// Functions without state; any thread. Errors name the field's path: out-of-range, bad-argument, does-not-fit.
 ///
-///     for (const Leaf& leaf : description.leaves()) table.bind(leaf.path, read(leaf, payload));
+///     for (const rtdata::Leaf& leaf : description.leaves()) table.bind(leaf.path, rtdata::read(leaf, payload));
 #pragma once
 
 #include <cstddef>

@@ -1,7 +1,7 @@
 /// Machine: a state machine on a loop, whose changes are events of a topic.
 ///
-///     fsm::Machine flight(loop, {.name = "flight", .start = "pad"});
-///     fsm::Input<Altitude> altitude(flight, "altitude", 500ms);        // the latest event, for half a second
+///     rtdata::fsm::Machine flight(loop, {.name = "flight", .start = "pad"});
+///     rtdata::fsm::Input<Altitude> altitude(flight, "altitude", 500ms);        // the latest event, for half a second
 ///     flight.add_state("pad");
 ///     flight.add_state("boost", {.arrive = [&] { beeper.stop(); }});
 ///     flight.add_state("landed", {.is_final = true});

@@ -15,7 +15,8 @@
 /// driver of the kernel has the chip; or arbitration was lost), not-found, not-permitted (of the adapter), bad-argument
 /// (a transfer that the adapter does not support), closed (of a job that was given up), io-failed.
 ///
-/// Thread: I2cBus: any. I2cDevice: one at a time.
+/// Owner: the program, or the System; the I2cBus must outlive the sensors on it. Thread: I2cBus: any.
+/// I2cDevice: one at a time.
 #pragma once
 
 #include <array>

@@ -4,13 +4,16 @@
 ///     class Thermometer {                                        // a driver (driver.hpp)
 ///       struct Config {
 ///         std::optional<rtdata::IdentityCode> identity{};        // {"identity": "0x98"}; checked with the Config
-///         friend constexpr auto parameters(type_tag<Config>) {
-///           return parameter_list(rtdata::identity_parameter(&Config::identity));
+///         friend constexpr auto parameters(rtdata::type_tag<Config>) {
+///           return rtdata::parameter_list(rtdata::identity_parameter(&Config::identity));
 ///         }
 ///       };
 ///       static constexpr rtdata::KnownChip chips[] = {
 ///           {.name = "TMP117", .addresses = {0x48}, .identity = {{0x0f, 0x0117, 0x0fff}}}};
-///       Result<void> open(I2cDevice& chip) { return rtdata::check_identity(chip, chips[0], config_.identity); }
+///       Config config_;
+///       rtdata::Result<void> open(rtdata::I2cDevice& chip) {
+///         return rtdata::check_identity(chip, chips[0], config_.identity);
+///       }
 ///     };
 ///
 /// A sensor that accepts such a chip reports it in the log and in recordings.

@@ -1,9 +1,10 @@
 /// ModbusBus, ModbusDevice: devices that speak Modbus, RTU over a serial line (RS-485) or over TCP, or Modbus TCP.
 ///
-///     rtdata::ModbusBus bus({.device = "/dev/ttyUSB0", .serial = {.baud_rate = 19200, .parity = Parity::even}});
+///     rtdata::ModbusBus bus({.device = "/dev/ttyUSB0", .serial = {.baud_rate = 19200,
+///                                                                    .parity = rtdata::Parity::even}});
 ///     rtdata::ModbusDevice meter = bus.device({.unit = 3});
 ///     std::array<std::uint16_t, 2> words{};
-///     meter.read_registers(ModbusTable::input, 0, words).or_throw();
+///     meter.read_registers(rtdata::ModbusTable::input, 0, words).or_throw();
 ///
 /// All calls block the thread that makes them, for at most `answer_timeout` each; over RTU, after a missing or invalid
 /// answer, the next call to the unit waits as `SerialDevice::transact` does (serial.hpp). A program that has a loop

@@ -25,7 +25,8 @@
 /// not-found, not-permitted, busy (the error names the other program), bad-argument (not a serial line), out-of-range
 /// (the line does not support these settings).
 ///
-/// Thread: SerialPort: any. SerialDevice: one at a time.
+/// Owner: the program, or the System; the SerialPort must outlive the sensors on it. Thread: SerialPort: any.
+/// SerialDevice: one at a time.
 #pragma once
 
 #include <cstdint>

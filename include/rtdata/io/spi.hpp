@@ -15,7 +15,8 @@
 /// Errors: not-found, not-permitted (of the controller), bad-argument (a mode, clock or length that the controller
 /// refuses), disconnected (it was unplugged), closed (of a job that was given up), io-failed.
 ///
-/// Thread: SpiBus: any. SpiDevice: one at a time.
+/// Owner: the program, or the System; the SpiBus must outlive the sensors on it. Thread: SpiBus: any.
+/// SpiDevice: one at a time.
 #pragma once
 
 #include <cstdint>

@@ -1,7 +1,7 @@
-/// Gaps as events: what a sensor or feed did not bring, as soon as that is over.
+/// GapEvent: what a sensor or feed did not bring, as an event, as soon as that is over.
 ///
 ///     auto s = loop.subscribe<rtdata::GapEvent>("$rtdata/gaps", [](const rtdata::Event<rtdata::GapEvent>& e) {
-///       alarm(e->name, e->reason, e->count);
+///       show(e->name, e->reason, e->count);
 ///     });
 ///
 /// One event for each gap that a recording has, of whatever tier; its time is when the gap was closed: with the next

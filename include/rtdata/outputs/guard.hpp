@@ -9,6 +9,8 @@
 ///       rtdata::Runtime runtime({.guard = &guard});
 ///       rtdata::Loop loop(runtime, {});
 ///       rtdata::Output pump(loop, {.name = "pump"}, {}, "pump");
+///       loop.run();
+///     }
 ///
 /// The constructor forks: everything that `make` needs must exist by then. Construct it before the program has threads
 /// and before it opens files that the guard must not share: the guard closes all descriptors except standard error.

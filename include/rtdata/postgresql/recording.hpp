@@ -1,5 +1,5 @@
-/// Reading back from a PostgreSQL server: rtdata::download makes a recording of its data, for every function that reads
-/// recordings, and rtdata::verify_server checks the data as `verify` checks a recording.
+/// download, verify_server: reading back from a PostgreSQL server. `download` makes a recording of its data, for every
+/// function that reads recordings, and `verify_server` checks the data as `verify` checks a recording.
 ///
 ///     rtdata::VerifyReport report = rtdata::verify_server({.url = "postgresql://rt@db.example/plant"}).or_throw();
 ///     std::cout << report.text();

@@ -1,7 +1,7 @@
 /// LimitWatch: whether a value is beyond its limits, with hysteresis, delay, and a latch.
 ///
 ///     rtdata::LimitWatch watch({.high = 5e5, .high_high = 6e5, .hysteresis = 1e4, .delay = 200ms, .latched = true});
-///     if (watch.take(pressure, loop.now())) show(watch.state());
+///     if (watch.take(pressure, loop.time())) show(watch.state());
 ///     watch.acknowledge();
 ///
 /// A value is beyond `high` or `high_high` if it is greater, and beyond `low` or `low_low` if it is less. The level is

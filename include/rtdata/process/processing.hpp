@@ -1,9 +1,9 @@
 /// Processing: calibration and filters of the numeric fields of any sensor, between its reading and its topic.
 ///
-///     rtdata::Sensor<Reading> tank(loop, {.name = "tank", .rate = 10_Hz, .process = {
+///     rtdata::Sensor<Pressure> tank(loop, {.name = "tank", .rate = 10_Hz, .process = {
 ///         {"pressure", {.calibration = rtdata::Calibration{.version = "2026-03", .scale = 2.5, .offset = -0.1},
 ///                       .filters = {rtdata::Filter::median(5)},
-///                       .unit = "bar"}}}}, read);
+///                       .unit = "bar"}}}}, read_tank);
 ///
 /// A field is named by its path ("temperature", "position.x", "accel[0]"), an array also by its name, which stands for
 /// all its elements. Each sample goes through the calibration and then through the filters in their order. The

@@ -3,7 +3,8 @@
 ///     rtdata::export_rows(recording, {.format = "csv", .filter = {.topic = "room/climate"}}, std::cout).or_throw();
 ///     rtdata::export_files(recording, {.format = "csv", .time = rtdata::ExportTime::utc}, "out").or_throw();
 ///
-/// Thread: that of the recording. Errors: not-found (format), bad-argument, those of `Rows`, those of files.
+/// Functions without state. Thread: that of the recording. Errors: not-found (format), bad-argument, those of `Rows`,
+/// those of files.
 #pragma once
 
 #include <cstdint>

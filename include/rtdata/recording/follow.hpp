@@ -1,7 +1,10 @@
 /// Follow: the rows of a recording in the order in which they were stored, some at a time, also while it is written.
 ///
 ///     auto rows = rtdata::RecordingFollower::open("run.db", {.topics = {"room/#"}, .from = launch}).or_throw();
-///     const auto print_row = [](const rtdata::RecordedRow& row) { print(row.run(), row.event()); };
+///     const auto print_row = [](const rtdata::RecordedRow& row) {
+///       print(row.run(), row.event());
+///       return rtdata::RecordingFollower::Goes::on;
+///     };
 ///     while (rows.read(100ms, print_row).or_throw()) {
 ///     }
 ///     // Later, what was stored since: rows.read(100ms, print_row)

@@ -1,4 +1,4 @@
-/// The runs of recordings, after they were recorded: finds, seals, deletes and merges them.
+/// find_run, seal, delete_run, merge: what is done to the runs of recordings after they were recorded.
 ///
 ///     auto recording = rtdata::Recording::open("bench.db").or_throw();
 ///     auto last = rtdata::find_run(recording.runs().or_throw(), "-1", recording.path()).or_throw();
@@ -6,7 +6,7 @@
 ///
 /// A function that changes a file locks it: `busy` names the process that records into it. After a kill the file is
 /// either unchanged, or the whole change is done. Thread: any; they block on the disk. Errors: also those of
-/// `Recording::open`, not-permitted, storage-full.
+/// `Recording::open`, not-permitted, storage-full. Results are values.
 #pragma once
 
 #include <cstdint>

@@ -20,7 +20,7 @@
 /// then exceed stored by the queued events, and gaps, segments and equations are checked only against bounds. The same
 /// holds for a sealed run.
 ///
-/// Thread: that of the recording. Memory: one entry for each origin. Reads each row once.
+/// The report is a value. Thread: that of the recording. Memory: one entry for each origin. Reads each row once.
 #pragma once
 
 #include <cstdint>

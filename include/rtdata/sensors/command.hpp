@@ -3,7 +3,7 @@
 ///     rtdata::CommandSensor weight(loop, {.name = "weight"},
 ///                                  {.run = {"python3", "hx711.py"},
 ///                                   .lines = {.fields = {{.name = "mass", .unit = "g"}},
-///                                             .first_line = FirstLine::keep}});
+///                                             .first_line = rtdata::FirstLine::keep}});
 ///
 /// Each line that the program prints becomes one event; lines.hpp says how lines are read.
 ///

@@ -7,13 +7,13 @@
 ///       struct Config { ... };                      // its parameters
 ///       using Value = TemperatureReading;           // what it publishes
 ///       using Device = rtdata::I2cDevice;           // how it talks to the chip
-///       static constexpr I2cDevice::Place place{0x48};          // where it is unless the user says otherwise
+///       static constexpr rtdata::I2cDevice::Place place{0x48};  // where it is unless the user says otherwise
 ///       explicit Lm75(const Config& config);
-///       rtdata::Result<void> open(I2cDevice& chip);             // optional: identity, calibration; see below
-///       rtdata::Result<void> start(I2cDevice& chip);            // optional: begins a conversion ...
+///       rtdata::Result<void> open(rtdata::I2cDevice& chip);     // optional: identity, calibration; see below
+///       rtdata::Result<void> start(rtdata::I2cDevice& chip);    // optional: begins a conversion ...
 ///       rtdata::Duration conversion_time() const;               // ... which takes this long; the bus is free
-///       rtdata::Reading<TemperatureReading> read(I2cDevice& chip);  // or the value itself, or a Result of it
-///       void close(I2cDevice& chip);                            // optional
+///       rtdata::Reading<TemperatureReading> read(rtdata::I2cDevice& chip);  // or the value itself, or a Result of it
+///       void close(rtdata::I2cDevice& chip);                    // optional
 ///     };
 ///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x49});
 ///
@@ -70,6 +70,7 @@
 #include <string>
 #include <type_traits>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "rtdata/detail/sensors/transaction.hpp"
@@ -134,6 +135,13 @@ class Samples {
   bool is_doubtful_ = false;  // one of these may not be the answer
   std::uint64_t lost_ = 0, lost_in_fault_ = 0;
 };
+
+/// The error of a driver's decoder, with the place of its chip.
+template <class Device>
+Error at_place(const Device& chip, Error error) {
+  error.where = chip.error(Errc::bad_data, {}, {}).where;
+  return error;
+}
 
 template <class D>
 concept Driver = requires(D driver, typename D::Device& device) {
@@ -498,8 +506,74 @@ class DriverDevice final : public detail::LaneDevice {
   std::optional<typename detail::MemoryOf<D>::type> memory_;
 };
 
-template <Driver D>
+namespace detail {
+
+/// Says in one sentence what a class lacks to be a `Driver`.
+template <class D>
+constexpr void check_driver_class() {
+  static_assert(
+      requires { typename D::Config; },
+      "rtdata: a driver has `struct Config`, its parameters, see rtdata/sensors/driver.hpp");
+  static_assert(
+      requires { typename D::Value; },
+      "rtdata: a driver has `using Value`, what it publishes, see rtdata/sensors/driver.hpp");
+  static_assert(
+      requires { typename D::Device; },
+      "rtdata: a driver has `using Device`, how it talks to its chip, such as rtdata::I2cDevice");
+  if constexpr (requires {
+                  typename D::Device;
+                  typename D::Value;
+                  typename D::Config;
+                }) {
+    constexpr bool on_bus = std::is_base_of_v<BusDevice, typename D::Device> && requires {
+      typename D::Device::Place;
+      typename D::Device::Bus;
+    };
+    static_assert(on_bus, "rtdata: the `Device` of a driver derives from rtdata::BusDevice and has `Place` and `Bus`");
+    constexpr bool made = std::constructible_from<D, const typename D::Config&>;
+    static_assert(made, "rtdata: a driver has a public constructor that takes its `const Config&`");
+    constexpr bool reads = requires(D driver, typename D::Device & device) { driver.read(device); }
+    || requires(D driver, typename D::Device & device, Samples<typename D::Value> & out) { driver.read(device, out); };
+    static_assert(reads, "rtdata: a driver has a public `read(Device&)` or `read(Device&, Samples<Value>&)`");
+  }
+}
+
+template <class D>
+struct PlaceOf {
+  using type = std::monostate;
+};
+// clang-format off
+template <class D>
+  requires requires { typename D::Device::Place; }
+struct PlaceOf<D> {
+  using type = typename D::Device::Place;
+};
+template <class D>
+struct ConfigOf {
+  using type = std::monostate;
+};
+template <class D>
+  requires requires { typename D::Config; }
+struct ConfigOf<D> {
+  using type = typename D::Config;
+};
+// clang-format on
+
+}  // namespace detail
+
+/// Of a class that is no driver: a compile error says what it lacks.
+template <class D>
 class DriverSensor : public AnySensor {
+ public:
+  template <class Bus, class Place = typename detail::PlaceOf<D>::type,
+            class Config = typename detail::ConfigOf<D>::type>
+  DriverSensor(Loop&, const SensorConfig&, Bus&, const Place& = {}, const Config& = {}) {
+    detail::check_driver_class<D>();
+  }
+};
+
+template <Driver D>
+class DriverSensor<D> : public AnySensor {
  public:
   DriverSensor() noexcept = default;
   /// SetupError: as `Sensor`; from the driver's constructor; an invalid or taken place on the bus.

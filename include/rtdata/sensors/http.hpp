@@ -2,8 +2,8 @@
 ///
 ///     rtdata::HttpSensor pump(loop, {.name = "pump", .rate = 1_Hz},
 ///                             {.server = {.url = "http://192.168.1.40/rpc/Switch.GetStatus?id=0"},
-///                              .fields = {{.name = "power", .key = "apower", .unit = "W"},
-///                                         {.name = "temperature", .key = "temperature.tC", .unit = "Cel"}}});
+///                              .fields = {{.name = "power", .unit = "W", .key = "apower"},
+///                                         {.name = "temperature", .unit = "Cel", .key = "temperature.tC"}}});
 ///
 /// An answer is an object or array of JSON, from which `fields` take values by their keys ("sensors.0.t" reaches into
 /// arrays); or a line of CSV: the first one after `skip_lines` that is not empty and that `only` selects; the rest is

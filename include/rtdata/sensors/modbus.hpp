@@ -2,8 +2,8 @@
 ///
 ///     rtdata::ModbusBus bus({.host = "192.168.1.20"});
 ///     rtdata::DriverSensor<rtdata::Modbus> meter(loop, {.name = "meter", .rate = 2_Hz}, bus, {.unit = 1},
-///         {.fields = {{.name = "voltage", .address = 0, .type = Kind::u16, .scale = 0.1, .unit = "V"},
-///                     {.name = "energy", .address = 10, .type = Kind::f32, .unit = "kW.h"}}});
+///         {.fields = {{.name = "voltage", .address = 0, .type = rtdata::Kind::u16, .scale = 0.1, .unit = "V"},
+///                     {.name = "energy", .address = 10, .type = rtdata::Kind::f32, .unit = "kW.h"}}});
 ///
 /// - Each tick reads all fields: consecutive ones in one request, others in separate requests; with `gap`, a request
 ///   may include this many unused registers between two fields. No request has more than `most_registers`, and none

@@ -3,7 +3,7 @@
 ///     rtdata::MqttSensor phone(loop, {.name = "phone"}, {.broker = {.host = "broker.local"},
 ///                                                        .topics = {"phones/+/battery"},
 ///                                                        .fields = {{.name = "level", .unit = "%"},
-///                                                                   {.name = "from", .type = Kind::text,
+///                                                                   {.name = "from", .type = rtdata::Kind::text,
 ///                                                                    .key = "$topic", .length = 60}}});
 ///
 /// Each message becomes one event with the configured fields; its time is the time of the read.

@@ -204,6 +204,18 @@ class SensorDevice {
   virtual Sampled sample(SamplePort& port) = 0;
 };
 
+template <class Device>
+auto read_once(Device& device) {
+  if constexpr (requires { device.read(); }) {
+    return device.read();
+  } else if constexpr (requires { device(); }) {
+    return device();
+  }
+}
+
+template <class T, class Got>
+inline constexpr bool is_reading_of = std::is_constructible_v<Reading<T>, Got> || std::is_same_v<Got, std::optional<T>>;
+
 template <class T, class Device>
 class DeviceOf final : public SensorDevice {
  public:
@@ -230,30 +242,18 @@ class DeviceOf final : public SensorDevice {
     }
   }
   Sampled sample(SamplePort& port) override {
-    if constexpr (requires { device_.read(); }) {
-      return take(port, [this] { return device_.read(); });
-    } else {
-      return take(port, device_);
-    }
-  }
-
- private:
-  template <class Read>
-  static Sampled take(SamplePort& port, Read&& read) {
-    using Got = std::remove_cvref_t<decltype(read())>;
-    static_assert(std::is_constructible_v<Reading<T>, Got> || std::is_same_v<Got, std::optional<T>>,
-                  "rtdata: a sampling function returns T, Result<T>, Reading<T> or std::optional<T>");
+    using Got = decltype(read_once(device_));
     if constexpr (std::is_same_v<Got, T>) {
-      T value = read();
+      T value = read_once(device_);
       port.publish(&value);
       return Sampled::value;
     } else if constexpr (std::is_same_v<Got, std::optional<T>>) {
-      std::optional<T> value = read();
+      std::optional<T> value = read_once(device_);
       if (!value) return Sampled::nothing_new;
       port.publish(&*value);
       return Sampled::value;
-    } else {
-      Reading<T> reading(read());
+    } else if constexpr (is_reading_of<T, Got>) {
+      Reading<T> reading(read_once(device_));
       if (T* value = reading.value()) {
         port.publish(value);
         return Sampled::value;
@@ -261,8 +261,12 @@ class DeviceOf final : public SensorDevice {
       if (Error* error = reading.error()) return port.fail(std::move(*error));
       if (Unreadable* unreadable = reading.unreadable()) return port.unreadable(std::move(unreadable->error));
       return Sampled::nothing_new;
+    } else {
+      return Sampled::failed;  // does not compile: see Sensor
     }
   }
+
+ private:
   Device device_;
 };
 
@@ -310,7 +314,12 @@ class Sensor : public AnySensor {
   template <class Device>
   Sensor(Loop& loop, SensorConfig config, Device device)
       : AnySensor(detail::make_sensor(loop, std::move(config), detail::payload_type<T>(),
-                                      std::make_unique<detail::DeviceOf<T, Device>>(std::move(device)))) {}
+                                      std::make_unique<detail::DeviceOf<T, Device>>(std::move(device)))) {
+    constexpr bool gives_readings = detail::is_reading_of<T, decltype(detail::read_once(std::declval<Device&>()))>;
+    static_assert(gives_readings,
+                  "rtdata: a sensor of T is made of a function without parameters, or an object with `read()`, that "
+                  "returns T, Result<T>, Reading<T> or std::optional<T>");
+  }
 };
 
 }  // namespace rtdata

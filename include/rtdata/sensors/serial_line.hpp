@@ -2,8 +2,8 @@
 ///
 ///     rtdata::SerialLineSensor imu(loop, {.name = "imu", .topic = "board/imu"},
 ///                                  {.device = "/dev/ttyACM0", .serial = {.baud_rate = 115200},
-///                                   .lines = {.fields = {{.name = "ax", .unit = "m/s2"}, {.name = "count", .type =
-///                                   Kind::u32}},
+///                                   .lines = {.fields = {{.name = "ax", .unit = "m/s2"},
+///                                                        {.name = "count", .type = rtdata::Kind::u32}},
 ///                                             .sequence_field = "count"}});
 ///
 /// Each line becomes one event with the configured fields; lines.hpp says how lines are read.
@@ -18,7 +18,7 @@
 /// Its `format` nmea is a satellite receiver (GPS or others) without gpsd:
 ///
 ///     rtdata::SerialLineSensor gps(loop, {.name = "gps"},
-///                                  {.device = "/dev/ttyACM0", .lines = {.format = LineFormat::nmea}});
+///                                  {.device = "/dev/ttyACM0", .lines = {.format = rtdata::LineFormat::nmea}});
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's.
 #pragma once

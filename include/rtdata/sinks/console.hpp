@@ -12,7 +12,7 @@
 /// reported, and further events are refused. The program gets no SIGPIPE.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Errors of the constructor (SetupError):
-/// bad_argument (a descriptor that is not open for writing); those of `Sink`.
+/// bad-argument (a descriptor that is not open for writing); those of `Sink`.
 #pragma once
 
 #include "rtdata/data/parameter.hpp"

@@ -25,8 +25,8 @@
 /// a restart, the time of an existing file is that of its last change.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; files are written on the sink's lane.
-/// Errors of the constructor (SetupError): not_found (no such directory, no such format), not_permitted, busy,
-/// bad_argument (a directory, a device; two topics in one CSV), description_differs (another header), damaged (a file
+/// Errors of the constructor (SetupError): not-found (no such directory, no such format), not-permitted, busy,
+/// bad-argument (a directory, a device; two topics in one CSV), description-differs (another header), damaged (a file
 /// of another format); those of `Sink`.
 #pragma once
 
@@ -118,7 +118,7 @@ std::string file_of_topic(const FileConfig& config, std::string_view topic);
 bool is_companion_file(const FileConfig& config, const std::string& file, const std::string& other);
 
 /// Checks that the sink could start writing `file` now, whether it exists or not, and that no other process writes it.
-/// Creates and changes nothing. Any thread; blocks on the disk. Errors: not_permitted, busy, bad_argument, as of the
+/// Creates and changes nothing. Any thread; blocks on the disk. Errors: not-permitted, busy, bad-argument, as of the
 /// constructor.
 Result<void> check_openable(const FileConfig& config, const std::string& file);
 

@@ -24,7 +24,7 @@
 /// The environment's proxy variables are not used: give `proxy`.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's. Errors of the constructor (SetupError):
-/// bad_argument (an invalid configuration), not_found (no such format); those of `Sink`.
+/// bad-argument (an invalid configuration), not-found (no such format); those of `Sink`.
 #pragma once
 
 #include <string>

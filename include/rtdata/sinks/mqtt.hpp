@@ -18,7 +18,7 @@
 /// with a limited number of messages in one turn.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; events are encoded on the sink's lane.
-/// Errors of the constructor (SetupError): bad_argument (no host, a topic that MQTT does not take, csv), not_found (no
+/// Errors of the constructor (SetupError): bad-argument (no host, a topic that MQTT does not take, csv), not-found (no
 /// such format); those of `Sink`.
 #pragma once
 

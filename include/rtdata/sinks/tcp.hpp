@@ -15,7 +15,7 @@
 /// is lost, the data in the kernel's buffers are lost; the error gives the number of bytes.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; events are encoded on the sink's lane.
-/// Errors of the constructor (SetupError): bad_argument (no host, no port, csv), not_found (no such format); those of
+/// Errors of the constructor (SetupError): bad-argument (no host, no port, csv), not-found (no such format); those of
 /// `Sink`.
 #pragma once
 

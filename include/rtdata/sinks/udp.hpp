@@ -12,7 +12,7 @@
 /// such report); sending continues. An event that is longer than a datagram is refused.
 ///
 /// Owner: the holder of the handle (rules: handle.hpp). Thread: the loop's; events are encoded on the sink's lane.
-/// Errors of the constructor (SetupError): bad_argument (no host, no port, csv), not_found (no such format); those of
+/// Errors of the constructor (SetupError): bad-argument (no host, no port, csv), not-found (no such format); those of
 /// `Sink`.
 #pragma once
 

@@ -3,7 +3,7 @@
 ///     auto wires = std::make_shared<rtdata::FakeI2c>();
 ///     wires->chip(0x48).set_word(0, 0x1900);
 ///     rtdata::I2cBus bus("i2c1", wires);
-///     rtdata::DriverSensor<Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x48});
+///     rtdata::DriverSensor<rtdata::Lm75> room(loop, {.name = "room", .rate = 10_Hz}, bus, {.address = 0x48});
 ///
 /// A chip has 256 registers and a pointer that increments by itself, like most chips; special registers get functions.
 /// An address without a chip does not acknowledge. On a manual loop a transfer takes as much virtual time as is set,

@@ -1,4 +1,5 @@
 // expect: `describe` leaves out a member of the struct
+// lines: 32
 #include "rtdata/data/describe.hpp"
 
 struct Point {

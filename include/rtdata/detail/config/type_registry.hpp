@@ -3,17 +3,17 @@
 /// A registry is an object, not a global: a program fills one and passes it on. `Product` is the result of its
 /// factories, `Context` their arguments besides the configuration.
 ///
-///     TypeRegistry<std::unique_ptr<Pump>, Loop&> pumps("pump");
+///     rtdata::TypeRegistry<std::unique_ptr<Pump>, rtdata::Loop&> pumps("pump");
 ///     pumps.add<GearPumpConfig>(
 ///         "gear", "a gear pump with a step motor",
-///         [](Loop& loop, const GearPumpConfig& config) { return make_gear_pump(loop, config); });
+///         [](rtdata::Loop& loop, const GearPumpConfig& config) { return make_gear_pump(loop, config); });
 ///     pumps.check(item, problems);            // every mistake of the item, nothing is made
 ///     auto pump = pumps.create(item, loop);   // throws ConfigError with every mistake
 ///
 /// `Registry` (config/registry.hpp) holds one for each kind of part.
 ///
 /// Owner: the program; the objects that it made may outlive it. Filled by one thread, then read by any. Errors: adding
-/// a type twice throws SetupError (bad_argument). An error of a factory gets the item's place in front.
+/// a type twice throws SetupError (bad-argument). An error of a factory gets the item's place in front.
 #pragma once
 
 #include <cstddef>

@@ -1,9 +1,9 @@
-// Third-party libraries that are loaded when a part that needs them is first checked or made, so that other users do
-// not need them.
-//
-// A header for each library (libcurl.hpp, ...) lists its functions. Each becomes an object of the same name in
-// namespace rtdata, which unqualified calls find before the function itself. Call `load` first; checking or making such
-// a part does this.
+/// LoadedLibrary: a third-party library, loaded when a part that needs it is first checked or made, so that other users
+/// do not need it.
+///
+/// A header for each library (libcurl.hpp, ...) lists its functions. Each becomes an object of the same name in
+/// namespace rtdata, which unqualified calls find before the function itself. Call `load` first; checking or making
+/// such a part does this.
 #pragma once
 
 #include <atomic>
