@@ -247,7 +247,7 @@ Action prepare_plot(CLI::App& command) {
     }
     for (const char* const name : {"--run", "--from", "--until", "--origin"}) {
       if (command.count(name) == 0) continue;
-      std::cerr << "rtdata: " << name << " is of recordings: rtdata plot DB" << std::endl;
+      print_error(std::cerr, std::string(name) + " is of recordings: rtdata plot DB", "bad-argument");
       return exit_other;
     }
     LivePlotOptions live;
@@ -255,8 +255,8 @@ Action prepare_plot(CLI::App& command) {
     if (!options->part.last.empty()) {
       const Result<Duration> window = parse_duration(options->part.last);
       if (!window || *window < std::chrono::seconds{1} || *window > std::chrono::hours{1}) {
-        std::cerr << "rtdata: --last of a running instance is 1 s to 1 h; a recording has more: rtdata plot DB"
-                  << std::endl;
+        print_error(std::cerr, "--last of a running instance is 1 s to 1 h; a recording has more: rtdata plot DB",
+                    "bad-argument");
         return exit_other;
       }
       live.window = *window;
@@ -315,7 +315,7 @@ std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App
     if (words.empty() || !is_recording(words.front())) {
       for (const CLI::Option* option : added) {
         if (option->count() == 0) continue;
-        std::cerr << "rtdata: " << option->get_name() << " is of recordings: rtdata tail DB" << std::endl;
+        print_error(std::cerr, option->get_name() + " is of recordings: rtdata tail DB", "bad-argument");
         return exit_other;
       }
       return std::nullopt;
@@ -455,7 +455,7 @@ Action prepare_replay(CLI::App& command) {
     if (!options.is_virtual) {
       double& factor = options.config.speed;
       if (detail::read_number(given->speed, factor) != std::errc{} || !(factor > 0)) {
-        std::cerr << "rtdata: --speed " << given->speed << ": give a number above 0, or max" << std::endl;
+        print_error(std::cerr, "--speed " + given->speed + ": give a number above 0, or max", "bad-argument");
         return exit_other;
       }
     }

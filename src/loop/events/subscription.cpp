@@ -58,10 +58,11 @@ bool SubscriptionNode::report_times(CallbackStatus& status) const {
   return true;
 }
 
-void SubscriptionNode::report_exception(const char* what) noexcept {
+void SubscriptionNode::report_exception(std::string_view what) noexcept {
   try {
-    runtime_->report(loop(), name,
-                     {Errc::handler_threw, "a handler threw", "", what, "the handler goes on being called"});
+    runtime_->report(
+        loop(), name,
+        {Errc::handler_threw, "a handler threw", "", std::string(what), "the handler goes on being called"});
   } catch (...) {  // the report itself failed
   }
 }
