@@ -186,7 +186,7 @@ TEST_SUITE("app") {
     CHECK(check.end() == 2);
     CHECK(has(check.out,
               "bad.json:2:38: sensors[0].type: there is no sensor type \"tallie\" (did you mean \"tallied\"?)\n"));
-    CHECK(has(check.out, "bad.json:3:38: sensors[1].rtae: unknown key (did you mean \"rate\"?)\n"));
+    CHECK(has(check.out, "bad.json:3:38: sensors[1].rtae: unknown key (did you mean \"rate\"?) [unknown-key]\n"));
     CHECK(has(check.out, "^\n"));
     CHECK(has(check.out, "2 problems"));
     folder.write("good.json", R"({
@@ -324,7 +324,7 @@ TEST_SUITE("app") {
     CHECK(has(quiet.err, "rtdata: warning: NO EVENT ever came from board"));
     // The error is told once, with its reason, though it is that of its health too and comes again; the log has all.
     CHECK(count_of(quiet.err, "cannot open the serial line: nothing_here") == 1);
-    CHECK(has(quiet.err, "sensor board: faulted\n"));
+    CHECK(has(quiet.err, "sensor board: faulted [not-found]\n"));
     CHECK(count_of(folder.read("u.log"), "cannot open the serial line: nothing_here") > 2);
     Process verify(folder, program, {"verify", "u.db"});
     CHECK(verify.end() == 0);
@@ -708,7 +708,7 @@ TEST_SUITE("app") {
               "there is no sensor type \"bme280\"; it is type \"barometer\" with \"model\": \"bme280\" (did you "
               "mean \"barometer\"?)"));
     CHECK(has(check.out, "there is no sensor type \"pt100\" (did you mean \"max31865\"?)"));
-    CHECK(has(check.out, "there is no sensor type \"thermocouple\"; there are max31855, max31856\n"));
+    CHECK(has(check.out, "there is no sensor type \"thermocouple\"; there are max31855, max31856 [unknown-type]\n"));
     CHECK(has(check.out, "there is no sink type \"csv\" (did you mean \"file\"?)"));
   }
 
@@ -1015,8 +1015,9 @@ TEST_SUITE("app") {
                 {"type": "file", "path": "b.jsonl", "rotate": {"bytes": "much"}}]})");
     Process check(folder, program, {"check", "bench.json"});
     CHECK(check.end() == 2);
-    CHECK(has(check.out, "sinks[0].rotate.bytes: expected a whole number, got the string \"2 MB\": write 2000000\n"));
-    CHECK(has(check.out, "sinks[1].rotate.bytes: expected a whole number, got the string \"much\"\n"));
+    CHECK(has(check.out,
+              "sinks[0].rotate.bytes: expected a whole number, got the string \"2 MB\": write 2000000 [wrong-type]\n"));
+    CHECK(has(check.out, "sinks[1].rotate.bytes: expected a whole number, got the string \"much\" [wrong-type]\n"));
     folder.write("good.json", R"({"sensors": [{"name": "a", "type": "tallied", "rate": "100 Hz"}],
       "sinks": [{"type": "sqlite", "path": "run.db"}]})");
     Process run(folder, program, {"run", "good.json", "--for", "100ms"});
