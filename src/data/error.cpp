@@ -116,9 +116,29 @@ std::string Error::text() const {
   return text;
 }
 
+std::string Error::text_with_id() const { return detail::with_id(text(), id()); }
+
 std::string_view Error::id() const noexcept {
   return code.category() == error_category() ? rtdata::id(static_cast<Errc>(code.value())) : "system";
 }
+
+SetupError::SetupError(Error error) : std::runtime_error(error.text_with_id()), error_(std::move(error)) {}
+
+namespace detail {
+
+std::string with_id(std::string text, std::string_view id) {
+  if (!id.empty()) text.append(" [").append(id).append("]");
+  return text;
+}
+
+std::string_view reason_of(const std::exception& thrown) noexcept {
+  std::string_view reason = thrown.what();
+  if (const auto* const refused = dynamic_cast<const SetupError*>(&thrown))
+    reason.remove_suffix(refused->error().id().size() + 3);  // " [id]"
+  return reason;
+}
+
+}  // namespace detail
 
 Error system_error(int errno_value, std::string what, std::string where, std::string advice) {
   return {errc_of(errno_value), std::move(what), std::move(where), std::generic_category().message(errno_value),

@@ -70,6 +70,8 @@ std::string Problem::text() const {
   return text;
 }
 
+std::string Problem::text_with_id() const { return detail::with_id(text(), id); }
+
 Error Problem::error() const {
   std::string where = place.text();
   if (!path.empty()) where += (where.empty() ? "" : ": ") + path;
@@ -96,7 +98,7 @@ void Problems::sort() {
 
 std::string Problems::text() const {
   std::string text;
-  for (const Problem& problem : list_) text += problem.text() + "\n";
+  for (const Problem& problem : list_) text += problem.text_with_id() + "\n";
   return text;
 }
 

@@ -253,13 +253,13 @@ class MachineNode final : public Node {
     try {
       return way.when(moment);
     } catch (const std::exception& e) {
-      condition_threw(way, from, e.what());
+      condition_threw(way, from, rtdata::detail::reason_of(e));
     } catch (...) {
       condition_threw(way, from, not_standard);
     }
     return false;
   }
-  void condition_threw(const TransitionEntry& way, const StateEntry& from, const char* why) noexcept {
+  void condition_threw(const TransitionEntry& way, const StateEntry& from, std::string_view why) noexcept {
     threw([&] { return "the condition of " + from.name + " to " + way.to.name; }, why);
   }
   static bool has_held(TransitionEntry& way, Time now) {
@@ -338,17 +338,18 @@ class MachineNode final : public Node {
       function();
       return true;
     } catch (const std::exception& e) {
-      threw(name, e.what());
+      threw(name, rtdata::detail::reason_of(e));
     } catch (...) {
       threw(name, not_standard);
     }
     return false;
   }
   template <class Name>
-  void threw(const Name& name, const char* why) noexcept {
+  void threw(const Name& name, std::string_view why) noexcept {
     ++counts_.failures;
     if (!is_open()) return;
-    loop()->call_own("machine", [&] { report(Errc::handler_threw, "an exception left", name(), why, ""); });
+    loop()->call_own("machine",
+                     [&] { report(Errc::handler_threw, "an exception left", name(), std::string(why), ""); });
   }
   void report(Errc code, const char* what, std::string_view of, std::string why, std::string advice) {
     loop()->runtime.report(loop(), object(),

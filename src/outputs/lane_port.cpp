@@ -29,7 +29,7 @@ Result<void> HeldActuator::put(std::optional<double> value) noexcept {
   } catch (const SetupError& thrown) {
     error = thrown.error();
   } catch (const std::exception& thrown) {
-    error.why = thrown.what();
+    error.why = reason_of(thrown);
   } catch (...) {
   }
   actuator_.reset();
@@ -45,7 +45,7 @@ Result<void> HeldActuator::check() noexcept {
     if (!result) actuator_.reset();
     return result;
   } catch (const std::exception& thrown) {
-    error.why = thrown.what();
+    error.why = reason_of(thrown);
   } catch (...) {
   }
   actuator_.reset();

@@ -66,7 +66,7 @@ TEST_SUITE("app") {
     CHECK(has(ctl({"rate", "alarm", "5 Hz"}, 1), "the sensor is fed, not sampled"));
     CHECK(has(ctl({"rate", "load"}, 1), "write it as `rate SENSOR RATE`"));
     CHECK(has(ctl({"restart"}, 2), "there is no command \"restart\""));
-    CHECK(has(ctl({}, 2), "rtdata: which command?\ncommands:\n"));
+    CHECK(has(ctl({}, 2), "rtdata: which command? [bad-argument]\ncommands:\n"));
     CHECK(has(ctl({"rog", "stop", "load"}, 1), "no running instance is called \"rog\""));
     // Reload: the same file, another, one with a mistake.
     CHECK(has(ctl({"reload"}, 0), "sensor load: changed while it runs (rate)") == false);

@@ -599,7 +599,8 @@ TEST_SUITE("app") {
 
     Process nowhere(folder, shipped, {"doctor", "--root", "nowhere"});
     CHECK(nowhere.end() == 1);
-    CHECK(nowhere.err == "rtdata: cannot read the copy of the machine: nowhere: No such file or directory\n");
+    CHECK(nowhere.err ==
+          "rtdata: cannot read the copy of the machine: nowhere: No such file or directory [not-found]\n");
     for (const char* command : {"scan", "doctor"}) {
       Process file(folder, shipped, {command, "--root", "wrong.json"});
       CHECK(file.end() == 1);

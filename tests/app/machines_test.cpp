@@ -90,7 +90,7 @@ TEST_SUITE("app") {
     CHECK(has(dot.out, "digraph \"m\" {"));
     CHECK(has(dot.out, "\"b\" -> \"a\" [label=\"back\"];"));
     CHECK(done(folder, {"graph", "rig.json", "--machine", "x"}).err ==
-          "rtdata: rig.json has no machine \"x\"; available: m, n\n");
+          "rtdata: rig.json has no machine \"x\"; available: m, n [not-found]\n");
     folder.write("bad.json", R"({"machines": [{"name": "m", "start": "a", "states": [{"name": "b"}]}]})");
     const Done bad = done(folder, {"graph", "bad.json"});
     CHECK(bad.status == 2);

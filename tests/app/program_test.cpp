@@ -186,7 +186,7 @@ TEST_SUITE("app") {
     CHECK(check.end() == 2);
     CHECK(has(check.out,
               "bad.json:2:38: sensors[0].type: there is no sensor type \"tallie\" (did you mean \"tallied\"?)\n"));
-    CHECK(has(check.out, "bad.json:3:38: sensors[1].rtae: unknown key (did you mean \"rate\"?)\n"));
+    CHECK(has(check.out, "bad.json:3:38: sensors[1].rtae: unknown key (did you mean \"rate\"?) [unknown-key]\n"));
     CHECK(has(check.out, "^\n"));
     CHECK(has(check.out, "2 problems"));
     folder.write("good.json", R"({
@@ -324,7 +324,7 @@ TEST_SUITE("app") {
     CHECK(has(quiet.err, "rtdata: warning: NO EVENT ever came from board"));
     // The error is told once, with its reason, though it is that of its health too and comes again; the log has all.
     CHECK(count_of(quiet.err, "cannot open the serial line: nothing_here") == 1);
-    CHECK(has(quiet.err, "sensor board: faulted\n"));
+    CHECK(has(quiet.err, "sensor board: faulted [not-found]\n"));
     CHECK(count_of(folder.read("u.log"), "cannot open the serial line: nothing_here") > 2);
     Process verify(folder, program, {"verify", "u.db"});
     CHECK(verify.end() == 0);
@@ -708,7 +708,7 @@ TEST_SUITE("app") {
               "there is no sensor type \"bme280\"; it is type \"barometer\" with \"model\": \"bme280\" (did you "
               "mean \"barometer\"?)"));
     CHECK(has(check.out, "there is no sensor type \"pt100\" (did you mean \"max31865\"?)"));
-    CHECK(has(check.out, "there is no sensor type \"thermocouple\"; available: max31855, max31856\n"));
+    CHECK(has(check.out, "there is no sensor type \"thermocouple\"; available: max31855, max31856 [unknown-type]\n"));
     CHECK(has(check.out, "there is no sink type \"csv\" (did you mean \"file\"?)"));
   }
 
@@ -812,7 +812,7 @@ TEST_SUITE("app") {
           "verify run.db --json", "export run.db --run 1", "top --once", "top --json", "bench --for 100ms --json -"}) {
       Process full(folder, "/bin/sh", {"-c", program + " " + command + " > /dev/full"});
       CHECK_MESSAGE(full.end() == 1, command);
-      CHECK_MESSAGE(full.err == "rtdata: cannot write the output: No space left on device\n", command);
+      CHECK_MESSAGE(full.err == "rtdata: cannot write the output: No space left on device [storage-full]\n", command);
       if (std::string(command).starts_with("bench")) continue;
       Process piped(folder, "/bin/sh", {"-c", "trap '' PIPE; " + program + " " + command + " | true"});
       CHECK(piped.end() == 0);
@@ -910,24 +910,29 @@ TEST_SUITE("app") {
 #endif
     const std::vector<std::pair<std::vector<std::string>, std::string>> cases{
         {{"vrify", "bench.db"},
-         "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them\n"},
+         "rtdata: there is no command \"vrify\" (did you mean \"verify\"?); `rtdata --help` explains them "
+         "[bad-argument]\n"},
         {{"measure", "x"},
          "rtdata: there is no command \"measure\"; available: init, run, top, tail, ctl, scan, doctor, bench, check, "
          "calibrate, graph, types, explain, verify, info, plot, report, runs, seal, rm, merge, compare, " +
              view +
              "export, replay, import, forward; "
-             "`rtdata --help` explains them\n"},
+             "`rtdata --help` explains them [bad-argument]\n"},
         {{"bench.json"},
-         "rtdata: there is no command \"bench.json\"; to run that configuration: rtdata run bench.json\n"},
-        {{"bench.db"}, "rtdata: there is no command \"bench.db\"; to sum up that recording: rtdata info bench.db\n"},
+         "rtdata: there is no command \"bench.json\"; to run that configuration: rtdata run bench.json "
+         "[bad-argument]\n"},
+        {{"bench.db"},
+         "rtdata: there is no command \"bench.db\"; to sum up that recording: rtdata info bench.db [bad-argument]\n"},
         {{"run", "--fro", "2s"},
-         "rtdata run: there is no option --fro (did you mean --for?); `rtdata run --help` lists what there is\n"},
+         "rtdata: there is no option --fro (did you mean --for?); `rtdata run --help` lists what there is "
+         "[bad-argument]\n"},
         {{"run", "x.json", "--fro=2s"},
-         "rtdata run: there is no option --fro (did you mean --for?); `rtdata run --help` lists what there is\n"},
+         "rtdata: there is no option --fro (did you mean --for?); `rtdata run --help` lists what there is "
+         "[bad-argument]\n"},
         {{"info", "bench.db", "--zz"},
-         "rtdata info: there is no option --zz; `rtdata info --help` lists what there is\n"},
+         "rtdata: there is no option --zz; `rtdata info --help` lists what there is [bad-argument]\n"},
         {{"check", "a.json", "b.json"},
-         "rtdata check: there is one argument too many: b.json; `rtdata check --help` lists what there is\n"}};
+         "rtdata: there is one argument too many: b.json; `rtdata check --help` lists what there is [bad-argument]\n"}};
     for (const auto& [arguments, told] : cases) {
       Process wrong(folder, shipped, arguments);
       CHECK(wrong.end() == 1);
@@ -961,7 +966,7 @@ TEST_SUITE("app") {
     }
     Process wrong(folder, shipped, {"explain", "not-permited"});
     CHECK(wrong.end() == 1);
-    CHECK(wrong.err == "rtdata explain: no error has the id \"not-permited\"; did you mean \"not-permitted\"?\n");
+    CHECK(wrong.err == "rtdata: no error has the id \"not-permited\"; did you mean \"not-permitted\"? [not-found]\n");
   }
 
   TEST_CASE("NFR-5 types host says what this machine has") {
@@ -1010,8 +1015,9 @@ TEST_SUITE("app") {
                 {"type": "file", "path": "b.jsonl", "rotate": {"bytes": "much"}}]})");
     Process check(folder, program, {"check", "bench.json"});
     CHECK(check.end() == 2);
-    CHECK(has(check.out, "sinks[0].rotate.bytes: expected a whole number, got the string \"2 MB\": write 2000000\n"));
-    CHECK(has(check.out, "sinks[1].rotate.bytes: expected a whole number, got the string \"much\"\n"));
+    CHECK(has(check.out,
+              "sinks[0].rotate.bytes: expected a whole number, got the string \"2 MB\": write 2000000 [wrong-type]\n"));
+    CHECK(has(check.out, "sinks[1].rotate.bytes: expected a whole number, got the string \"much\" [wrong-type]\n"));
     folder.write("good.json", R"({"sensors": [{"name": "a", "type": "tallied", "rate": "100 Hz"}],
       "sinks": [{"type": "sqlite", "path": "run.db"}]})");
     Process run(folder, program, {"run", "good.json", "--for", "100ms"});

@@ -71,12 +71,14 @@ TEST_SUITE("config") {
 
   TEST_CASE("US-20 what is not there is an error with its place and the nearest name") {
     const ConfigItem root = parse("{\n  \"sensors\": [{\"rate\": 5}]\n}");
-    CHECK_THROWS_WITH_AS((void)root.at("sensors", 0, "rtae"),
-                         "there is no \"rtae\" in an object: t.json:2:15: sensors[0]: did you mean \"rate\"?",
-                         ConfigError);
-    CHECK_THROWS_WITH_AS((void)root.at("sensors", 3), "there is no element 3 in a list of 1: t.json:2:14: sensors",
-                         ConfigError);
-    CHECK_THROWS_WITH_AS((void)root.at("sensors", -1), "there is no element -1 in a list of 1: t.json:2:14: sensors",
+    CHECK_THROWS_WITH_AS(
+        (void)root.at("sensors", 0, "rtae"),
+        "there is no \"rtae\" in an object: t.json:2:15: sensors[0]: did you mean \"rate\"? [bad-configuration]",
+        ConfigError);
+    CHECK_THROWS_WITH_AS((void)root.at("sensors", 3),
+                         "there is no element 3 in a list of 1: t.json:2:14: sensors [bad-configuration]", ConfigError);
+    CHECK_THROWS_WITH_AS((void)root.at("sensors", -1),
+                         "there is no element -1 in a list of 1: t.json:2:14: sensors [bad-configuration]",
                          ConfigError);
   }
 
@@ -183,9 +185,10 @@ TEST_SUITE("config") {
       FAIL("no error");
     } catch (const ConfigError& error) {
       CHECK(error.problems().text() ==
-            "t.json:1:5: [1]: expected a whole number, got the string \"x\"\n"
-            "t.json:1:10: [2]: expected a whole number, got the number 2.5\n");
-      CHECK(std::string(error.what()) == "expected a whole number, got the string \"x\" (and 1 more): t.json:1:5: [1]");
+            "t.json:1:5: [1]: expected a whole number, got the string \"x\" [wrong-type]\n"
+            "t.json:1:10: [2]: expected a whole number, got the number 2.5 [wrong-type]\n");
+      CHECK(std::string(error.what()) ==
+            "expected a whole number, got the string \"x\" (and 1 more): t.json:1:5: [1] [bad-configuration]");
     }
   }
 
@@ -272,7 +275,8 @@ TEST_SUITE("config") {
     root.set("rate", 50_Hz);
     root.set("name", "other");
     ConfigItem& sensors = root.at("name");
-    CHECK_THROWS_WITH_AS(sensors.set("x", 1), "cannot set \"x\": name: it is the string \"other\", not an object",
+    CHECK_THROWS_WITH_AS(sensors.set("x", 1),
+                         "cannot set \"x\": name: it is the string \"other\", not an object [bad-argument]",
                          SetupError);
     CHECK_THROWS_AS(sensors.push_back(1), SetupError);
     ConfigItem list;

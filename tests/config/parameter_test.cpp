@@ -170,49 +170,60 @@ TEST_SUITE("config") {
   }
 
   TEST_CASE("US-20 each class of mistake is told with line, column, path and suggestion") {
-    CHECK(mistake("volst", "5") == "f.json:2:1: volst: unknown key (did you mean \"volts\"?)\n");
-    CHECK(mistake("volts", "\"5\"") == "f.json:2:29: volts: expected a number, got the string \"5\"\n");
-    CHECK(mistake("volts", "5000.0") == "f.json:2:29: volts: 5000.0 V is out of range: 0.001 V to 1000 V\n");
-    CHECK(mistake("bits", "33") == "f.json:2:29: bits: 33 is out of range: at most 32\n");
-    CHECK(mistake("bits", "300") == "f.json:2:29: bits: 300 is out of range: 0 to 255\n");
-    CHECK(mistake("bits", "12.5") == "f.json:2:29: bits: expected a whole number, got the number 12.5\n");
-    CHECK(mistake("invert", "1") == "f.json:2:29: invert: expected true or false, got the number 1\n");
+    CHECK(mistake("volst", "5") == "f.json:2:1: volst: unknown key (did you mean \"volts\"?) [unknown-key]\n");
+    CHECK(mistake("volts", "\"5\"") == "f.json:2:29: volts: expected a number, got the string \"5\" [wrong-type]\n");
+    CHECK(mistake("volts", "5000.0") ==
+          "f.json:2:29: volts: 5000.0 V is out of range: 0.001 V to 1000 V [out-of-range]\n");
+    CHECK(mistake("bits", "33") == "f.json:2:29: bits: 33 is out of range: at most 32 [out-of-range]\n");
+    CHECK(mistake("bits", "300") == "f.json:2:29: bits: 300 is out of range: 0 to 255 [out-of-range]\n");
+    CHECK(mistake("bits", "12.5") == "f.json:2:29: bits: expected a whole number, got the number 12.5 [wrong-type]\n");
+    CHECK(mistake("invert", "1") == "f.json:2:29: invert: expected true or false, got the number 1 [wrong-type]\n");
     CHECK(mistake("separator", "\"ab\"") ==
-          "f.json:2:29: separator: expected a string of one character, got the string \"ab\"\n");
-    CHECK(mistake("timeout", "10") ==
-          "f.json:2:29: timeout: expected a duration with its unit, such as \"10 ms\", got the number 10\n");
-    CHECK(mistake("timeout", "\"2 h\"") == "f.json:2:29: timeout: 2 h is out of range: 1 ms to 1 h\n");
-    CHECK(mistake("timeout", "\"-5 ms\"") == "f.json:2:29: timeout: -5 ms is out of range: it must not be negative\n");
-    CHECK(mistake("offset", "\"-2 s\"") == "f.json:2:29: offset: -2 s is out of range: at least -1 s\n");
+          "f.json:2:29: separator: expected a string of one character, got the string \"ab\" [wrong-type]\n");
+    CHECK(
+        mistake("timeout", "10") ==
+        "f.json:2:29: timeout: expected a duration with its unit, such as \"10 ms\", got the number 10 [wrong-type]\n");
+    CHECK(mistake("timeout", "\"2 h\"") == "f.json:2:29: timeout: 2 h is out of range: 1 ms to 1 h [out-of-range]\n");
+    CHECK(mistake("timeout", "\"-5 ms\"") ==
+          "f.json:2:29: timeout: -5 ms is out of range: it must not be negative [out-of-range]\n");
+    CHECK(mistake("offset", "\"-2 s\"") == "f.json:2:29: offset: -2 s is out of range: at least -1 s [out-of-range]\n");
     CHECK(mistake("rate", "100") ==
-          "f.json:2:29: rate: expected a rate with its unit, such as \"100 Hz\", got the number 100\n");
-    CHECK(mistake("rate", "\"20 kHz\"") == "f.json:2:29: rate: 20 kHz is out of range: 0.1 Hz to 10000 Hz\n");
+          "f.json:2:29: rate: expected a rate with its unit, such as \"100 Hz\", got the number 100 [wrong-type]\n");
+    CHECK(mistake("rate", "\"20 kHz\"") ==
+          "f.json:2:29: rate: 20 kHz is out of range: 0.1 Hz to 10000 Hz [out-of-range]\n");
     CHECK(mistake("rate", "\"10 kHz\"") == "");
     CHECK(mistake("rate", "\"0.1 Hz\"") == "");
-    CHECK(
-        mistake("edge", "\"fallign\"") ==
-        "f.json:2:29: edge: expected one of rising, falling, got the string \"fallign\" (did you mean \"falling\"?)\n");
+    CHECK(mistake("edge", "\"fallign\"") ==
+          "f.json:2:29: edge: expected one of rising, falling, got the string \"fallign\" (did you mean \"falling\"?) "
+          "[unknown-choice]\n");
     CHECK(mistake("parity", "\"evne\"") ==
-          "f.json:2:29: parity: expected one of none, even, odd, got the string \"evne\" (did you mean \"even\"?)\n");
-    CHECK(mistake("policy", "7") == "f.json:2:29: policy: expected one of other, fifo, rr, got the number 7\n");
-    CHECK(mistake("scale", "-1") == "f.json:2:29: scale: -1 is out of range: at least 0\n");
-    CHECK(mistake("topics", "\"#\"") == "f.json:2:29: topics: expected a list, got the string \"#\"\n");
-    CHECK(mistake("topics", "[\"a\", 1]") == "f.json:2:35: topics[1]: expected a string, got the number 1\n");
-    CHECK(mistake("axes", "[1, 2]") == "f.json:2:29: axes: expected a list of 3, got one of 2\n");
+          "f.json:2:29: parity: expected one of none, even, odd, got the string \"evne\" (did you mean \"even\"?) "
+          "[unknown-choice]\n");
+    CHECK(mistake("policy", "7") ==
+          "f.json:2:29: policy: expected one of other, fifo, rr, got the number 7 [unknown-choice]\n");
+    CHECK(mistake("scale", "-1") == "f.json:2:29: scale: -1 is out of range: at least 0 [out-of-range]\n");
+    CHECK(mistake("topics", "\"#\"") == "f.json:2:29: topics: expected a list, got the string \"#\" [wrong-type]\n");
+    CHECK(mistake("topics", "[\"a\", 1]") ==
+          "f.json:2:35: topics[1]: expected a string, got the number 1 [wrong-type]\n");
+    CHECK(mistake("axes", "[1, 2]") == "f.json:2:29: axes: expected a list of 3, got one of 2 [wrong-length]\n");
     CHECK(mistake("axes", "[1, 11, -1]") ==
-          "f.json:2:33: axes[1]: 11 is out of range: 0 to 10\n"
-          "f.json:2:37: axes[2]: -1 is out of range: 0 to 10\n");
-    CHECK(mistake("window", "{\"sise\": 3}") == "f.json:2:30: window.sise: unknown key (did you mean \"size\"?)\n");
-    CHECK(mistake("window", "{\"size\": 1}") == "f.json:2:29: window: \"limit\" must not be above \"size\"\n");
-    CHECK(mistake("windows", "[{}, {\"size\": 0}]") == "f.json:2:43: windows[1].size: 0 is out of range: 1 to 99\n");
-    CHECK(mistake("window", "[]") == "f.json:2:29: window: expected an object, got an empty list\n");
-    CHECK(mistake("factors", "{\"k\": -1}") == "f.json:2:35: factors.k: -1 is out of range: at least 0\n");
+          "f.json:2:33: axes[1]: 11 is out of range: 0 to 10 [out-of-range]\n"
+          "f.json:2:37: axes[2]: -1 is out of range: 0 to 10 [out-of-range]\n");
+    CHECK(mistake("window", "{\"sise\": 3}") ==
+          "f.json:2:30: window.sise: unknown key (did you mean \"size\"?) [unknown-key]\n");
+    CHECK(mistake("window", "{\"size\": 1}") ==
+          "f.json:2:29: window: \"limit\" must not be above \"size\" [bad-value]\n");
+    CHECK(mistake("windows", "[{}, {\"size\": 0}]") ==
+          "f.json:2:43: windows[1].size: 0 is out of range: 1 to 99 [out-of-range]\n");
+    CHECK(mistake("window", "[]") == "f.json:2:29: window: expected an object, got an empty list [wrong-type]\n");
+    CHECK(mistake("factors", "{\"k\": -1}") ==
+          "f.json:2:35: factors.k: -1 is out of range: at least 0 [out-of-range]\n");
     CHECK(mistakes("{}").text() ==
-          "f.json:1:1: \"name\" is missing: what it is called\n"
-          "f.json:1:1: \"file\" is missing: the kernel's ADC file\n");
-    CHECK(mistakes("[]").text() == "f.json:1:1: expected an object, got an empty list\n");
+          "f.json:1:1: \"name\" is missing: what it is called [missing-key]\n"
+          "f.json:1:1: \"file\" is missing: the kernel's ADC file [missing-key]\n");
+    CHECK(mistakes("[]").text() == "f.json:1:1: expected an object, got an empty list [wrong-type]\n");
     CHECK(mistakes("{\"name\": \"n\", \"fil\": \"f\"}").text() ==
-          "f.json:1:15: fil: unknown key (did you mean \"file\"?)\n");
+          "f.json:1:15: fil: unknown key (did you mean \"file\"?) [unknown-key]\n");
     CHECK(mistakes("{\"name\": \"n\", \"file\": \"f\", \"xyzzy\": 1}")
               .text()
               .starts_with("f.json:1:28: xyzzy: unknown key; known here are axes, baud, bits, edge"));
@@ -227,16 +238,17 @@ TEST_SUITE("config") {
     CHECK_FALSE(read_config(document.root, config, document.problems));
     document.problems.sort();
     CHECK(document.problems.text() ==
-          "f.json:2:11: name: expected a string, got the number 5\n"
-          "f.json:3:3: fiel: unknown key (did you mean \"file\"?)\n"
-          "f.json:4:12: volts: 0 V is out of range: 0.001 V to 1000 V\n"
-          "f.json:5:15: axes[1]: expected a number, got the string \"x\"\n"
-          "f.json:6:22: window.size: expected a whole number, got the number 3.5\n"
-          "f.json:6:27: window.limti: unknown key (did you mean \"limit\"?)\n");
+          "f.json:2:11: name: expected a string, got the number 5 [wrong-type]\n"
+          "f.json:3:3: fiel: unknown key (did you mean \"file\"?) [unknown-key]\n"
+          "f.json:4:12: volts: 0 V is out of range: 0.001 V to 1000 V [out-of-range]\n"
+          "f.json:5:15: axes[1]: expected a number, got the string \"x\" [wrong-type]\n"
+          "f.json:6:22: window.size: expected a whole number, got the number 3.5 [wrong-type]\n"
+          "f.json:6:27: window.limti: unknown key (did you mean \"limit\"?) [unknown-key]\n");
     CHECK_THROWS_WITH_AS((void)read_config<Config>(document.root),
-                         "unknown key (and 5 more): f.json:3:3: fiel: did you mean \"file\"?", ConfigError);
+                         "unknown key (and 5 more): f.json:3:3: fiel: did you mean \"file\"? [bad-configuration]",
+                         ConfigError);
     CHECK(document.report().find(
-              "f.json:3:3: fiel: unknown key (did you mean \"file\"?)\n    \"fiel\": \"f\",\n    ^\n") !=
+              "f.json:3:3: fiel: unknown key (did you mean \"file\"?) [unknown-key]\n    \"fiel\": \"f\",\n    ^\n") !=
           std::string::npos);
   }
 
@@ -305,7 +317,7 @@ TEST_SUITE("config") {
     CHECK(read_config(item, window, problems, UnknownKeys::report, {"name"}));
     CHECK(read_config(item, window, problems, UnknownKeys::ignore));
     CHECK_FALSE(read_config(item, window, problems));
-    CHECK(problems.text() == "configuration.json:1:2: name: unknown key; known here are limit, size\n");
+    CHECK(problems.text() == "configuration.json:1:2: name: unknown key; known here are limit, size [unknown-key]\n");
   }
 
   TEST_CASE("US-20 an enumeration with a describe is a value like any other") {

@@ -162,20 +162,21 @@ TEST_SUITE("config") {
   {"name": "e", "type": "tallied", "rate": "1 Hz", "bus": "w1"},
   {"name": "f", "type": "probe", "rate": "2 MHz", "bus": "gone"},
   {"name": "g", "type": "probe", "rate": "1 Hz", "bus": "l"}]})") ==
-          "f.json:2:27: buses.w1: this key is already at f.json:1:32\n"
-          "f.json:2:66: buses.l.type: there is no bus type \"i2c\"; available: loopback, wire, other\n"
-          "f.json:2:74: buses[\"\"]: a name has 1 to 200 characters of UTF-8 and no control characters\n"
-          "f.json:2:120: buses.n.name: unknown key; known here are type\n"
-          "f.json:3:68: sensors[0].bus: there is no bus \"w11\" in `buses` (did you mean \"w1\"?)\n"
-          "f.json:4:57: sensors[1].bus: the bus \"o\", at f.json:2:3, is of type other; this needs wire\n"
-          "f.json:5:57: sensors[2].bus: there is no bus \"t\" in `buses`; that is the name of a tier, at f.json:1:12\n"
-          "f.json:6:3: sensors[3]: \"bus\" is missing: the bus that it is on\n"
+          "f.json:2:27: buses.w1: this key is already at f.json:1:32 [duplicate-key]\n"
+          "f.json:2:66: buses.l.type: there is no bus type \"i2c\"; available: loopback, wire, other [unknown-type]\n"
+          "f.json:2:74: buses[\"\"]: a name has 1 to 200 characters of UTF-8 and no control characters [bad-name]\n"
+          "f.json:2:120: buses.n.name: unknown key; known here are type [unknown-key]\n"
+          "f.json:3:68: sensors[0].bus: there is no bus \"w11\" in `buses` (did you mean \"w1\"?) [unknown-bus]\n"
+          "f.json:4:57: sensors[1].bus: the bus \"o\", at f.json:2:3, is of type other; this needs wire [wrong-part]\n"
+          "f.json:5:57: sensors[2].bus: there is no bus \"t\" in `buses`; that is the name of a tier, at f.json:1:12 "
+          "[unknown-bus]\n"
+          "f.json:6:3: sensors[3]: \"bus\" is missing: the bus that it is on [missing-key]\n"
           "f.json:7:52: sensors[4].bus: unknown key; known here are fail_every, faulted_after, first, hang_at, hold, "
           "late_after, name, on_overrun, phase, process, rate, read_time, required, retry_first, retry_longest, start, "
           "starve_at, tier, "
-          "topic, type, warm_up\n"
-          "f.json:8:42: sensors[5].rate: 2 MHz is out of range: at most 1000000 Hz\n"
-          "f.json:8:58: sensors[5].bus: there is no bus \"gone\" in `buses`\n");
+          "topic, type, warm_up [unknown-key]\n"
+          "f.json:8:42: sensors[5].rate: 2 MHz is out of range: at most 1000000 Hz [out-of-range]\n"
+          "f.json:8:58: sensors[5].bus: there is no bus \"gone\" in `buses` [unknown-bus]\n");
   }
 
   TEST_CASE("NFR-6 two buses on one device are told with both places, also by another name of it") {
@@ -183,7 +184,7 @@ TEST_SUITE("config") {
     CHECK(types.problems_of(R"({"buses": {"w1": {"type": "wire", "device": "/dev/w1"},
  "w2": {"type": "wire", "device": "/dev/../dev/w1"}, "w3": {"type": "wire", "device": "/dev/w3"}}})") ==
           "f.json:2:35: buses.w2.device: bus w1, at f.json:1:18, has this device already; one bus is enough for "
-          "all devices on it\n");
+          "all devices on it [duplicate-place]\n");
   }
 
   TEST_CASE("NFR-6 without types of buses an empty list of them is fine, and one of any type is of an unknown one") {
@@ -193,11 +194,11 @@ TEST_SUITE("config") {
     };
     CHECK(problems(R"({"buses": []})") == "");
     CHECK(problems(R"({"buses": {}})") == "");
-    CHECK(problems(R"({"buses": [3]})") == "f.json:1:11: buses: expected an object, got a list\n");
+    CHECK(problems(R"({"buses": [3]})") == "f.json:1:11: buses: expected an object, got a list [wrong-type]\n");
     CHECK(problems(R"({"buses": {"w": {"type": "wire"}}})") ==
-          "f.json:1:26: buses.w.type: there is no bus type \"wire\"; there are none\n");
+          "f.json:1:26: buses.w.type: there is no bus type \"wire\"; there are none [unknown-type]\n");
     CHECK(problems(R"({"buses": {"w": {}}})") ==
-          "f.json:1:17: buses.w: \"type\" is missing: the type of the bus, of which there are none\n");
+          "f.json:1:17: buses.w: \"type\" is missing: the type of the bus, of which there are none [missing-key]\n");
   }
 
   TEST_CASE("US-22 the schema knows buses") {
@@ -220,7 +221,7 @@ TEST_SUITE("config") {
     Loop loop{Loop::Manual{}};
     const SystemPlan plan = types.planned(R"({"buses": {"w1": {"type": "wire", "device": "x"},
  "w2": {"type": "torn", "device": "/dev/w2"}}, "sensors": [], "sinks": [{"type": "discard"}]})");
-    CHECK(refusal([&] { System(loop, types.registry, plan); }) == "cannot open w2: f.json:2:8: bus w2: /dev/w2");
+    CHECK(refusal([&] { System(loop, types.registry, plan); }) == "cannot open w2: f.json:2:8: bus w2: /dev/w2 [not-found]");
     CHECK(types.journal == Journal{"make w1", "close w1"});
     CHECK(loop.runtime().sinks().empty());
   }
@@ -237,7 +238,7 @@ TEST_SUITE("config") {
     System system(loop, types.registry, plan);
     CHECK(types.journal == Journal{"make c", "make a", "make b"});
     CHECK(refusal([&] { system.remove_sink("s"); }) ==
-          "cannot remove the sink s: f.json:2:68: sensor a uses it: remove that first");
+          "cannot remove the sink s: f.json:2:68: sensor a uses it: remove that first [busy]");
     system.remove_sensor("a");
     system.remove_sink("s");
     system.remove_sensor("c");
@@ -256,13 +257,15 @@ TEST_SUITE("config") {
   {"name": "f", "type": "follower", "recordings": ["k", "s"]}], "sinks": [{"type": "topics", "name": "k"}]})") ==
         "f.json:4:64: sensors[2].follows: it uses itself: sensor a uses sensor b, at f.json:2:48, which uses sensor c, "
         "at "
-        "f.json:3:47, which uses sensor a, at f.json:4:64\n"
-        "f.json:5:48: sensors[3].follows: it uses itself: sensor d uses sensor d, at f.json:5:48\n"
-        "f.json:6:47: sensors[4].source: nothing of this configuration publishes on \"x/d\" (did you mean \"x/c\"?)\n"
-        "f.json:6:65: sensors[4].follows: there is no sensor \"A\" in `sensors` (did you mean \"a\"?)\n"
+        "f.json:3:47, which uses sensor a, at f.json:4:64 [uses-itself]\n"
+        "f.json:5:48: sensors[3].follows: it uses itself: sensor d uses sensor d, at f.json:5:48 [uses-itself]\n"
+        "f.json:6:47: sensors[4].source: nothing of this configuration publishes on \"x/d\" (did you mean \"x/c\"?) "
+        "[unknown-topic]\n"
+        "f.json:6:65: sensors[4].follows: there is no sensor \"A\" in `sensors` (did you mean \"a\"?) "
+        "[unknown-sensor]\n"
         "f.json:7:52: sensors[5].recordings[0]: the sink \"k\", at f.json:7:102, is of type topics; this needs "
-        "discard\n"
-        "f.json:7:57: sensors[5].recordings[1]: there is no sink \"s\" in `sinks`\n");
+        "discard [wrong-part]\n"
+        "f.json:7:57: sensors[5].recordings[1]: there is no sink \"s\" in `sinks` [unknown-sink]\n");
   }
 
   TEST_CASE("US-7 what is added to a running system is compared with all that is there, files too") {
@@ -281,33 +284,34 @@ TEST_SUITE("config") {
     const auto add_sink = [&](const std::string& text) { return refusal([&] { system.add_sink(item(text)); }); };
     CHECK(add_sink(R"({"type": "discard", "name": "s", "path": ")" + file + "\"}") ==
           "item.json:1:42: path: the sink at f.json:3:12 writes \"" + file +
-              "\" already; two writers on one file destroy it; choose another\n");
+              "\" already; two writers on one file destroy it; choose another [duplicate-path]\n");
     CHECK(add_sink(R"({"type": "discard", "name": "s", "path": ")" + folder.path() + "/the.log\"}")
               .find("item.json:1:42: path: the log writes") == 0);
     CHECK(add_sink(R"({"type": "discard", "name": ")" + file + "\"}") ==
           "item.json:1:29: name: there is a sink \"" + file +
-              "\" already, at f.json:3:12; give each a `name` of its own\n");
+              "\" already, at f.json:3:12; give each a `name` of its own [duplicate-name]\n");
     CHECK(add_sensor(R"({"name": "a", "type": "absent", "rate": "1 Hz", "topic": "x/a", "tier": "t"})")
               .find("item.json:1:58: topic: the topic \"x/a\" carries \"count\" of sensor a, at f.json:2:72, and "
                     "\"level\"") != std::string::npos);
     CHECK(add_sensor(R"({"name": "b", "type": "tallied", "rate": "1 Hz", "tier": "t"})") ==
-          "item.json:1:58: tier: there is no tier \"t\" in `tiers`\n");
+          "item.json:1:58: tier: there is no tier \"t\" in `tiers` [unknown-tier]\n");
     CHECK(add_sensor(R"({"name": "X/a", "type": "tallied", "rate": "1 Hz"})") ==
-          "item.json:1:10: name: the topic \"X/a\" differs in case only from \"x/a\", at f.json:2:72\n");
+          "item.json:1:10: name: the topic \"X/a\" differs in case only from \"x/a\", at f.json:2:72 [bad-name]\n");
     CHECK(add_sensor(R"({"name": "p", "type": "probe", "rate": "1 Hz", "bus": "w2"})") ==
-          "item.json:1:55: bus: there is no bus \"w2\" in `buses` (did you mean \"w1\"?)\n");
+          "item.json:1:55: bus: there is no bus \"w2\" in `buses` (did you mean \"w1\"?) [unknown-bus]\n");
     CHECK(add_sensor(R"({"name": "f", "type": "follower", "follows": "f"})") ==
-          "item.json:1:46: follows: there is no sensor \"f\" in `sensors`\n");
+          "item.json:1:46: follows: there is no sensor \"f\" in `sensors` [unknown-sensor]\n");
     CHECK(system.sensor_names() == std::vector<std::string>{"a"});
     CHECK(system.sink_names() == std::vector<std::string>{file});
 
     // What is refused is no neighbour, nor is what was removed.
     system.add_bus("w2", item(R"({"type": "wire", "device": "y"})"));
     CHECK(refusal([&] { system.add_bus("w2", item(R"({"type": "other"})")); }) ==
-          "item.json:1:1: there is a bus \"w2\" already, at item.json:1:1; give each a `name` of its own\n");
+          "item.json:1:1: there is a bus \"w2\" already, at item.json:1:1; give each a `name` of its own "
+          "[duplicate-name]\n");
     system.add_sensor(item(R"({"name": "p", "type": "probe", "rate": "1 Hz", "bus": "w2"})"));
     CHECK(refusal([&] { system.remove_bus("w2"); }) ==
-          "cannot remove the bus w2: item.json:1:55: sensor p uses it: remove that first");
+          "cannot remove the bus w2: item.json:1:55: sensor p uses it: remove that first [busy]");
     system.remove_sensor("p");
     system.remove_bus("w2");
     CHECK(types.journal.back() == "close w2");

@@ -8,6 +8,7 @@ TEST_SUITE("config") {
   TEST_CASE("a problem reads file:line:column: path: message, without its empty parts") {
     const Problem full{"unknown-key", {"a.json", 7, 43}, "sensors[0].rtae", "unknown key", "rate"};
     CHECK(full.text() == "a.json:7:43: sensors[0].rtae: unknown key (did you mean \"rate\"?)");
+    CHECK(full.text_with_id() == full.text() + " [unknown-key]");
     CHECK(full.error().text() == "unknown key: a.json:7:43: sensors[0].rtae: did you mean \"rate\"?");
     CHECK(full.error().id() == "bad-configuration");
     CHECK(Problem{"empty", {"a.json", 0, 0}, "", "it is empty", ""}.text() == "a.json: it is empty");
@@ -25,7 +26,7 @@ TEST_SUITE("config") {
     add(1, 2, "a");
     add(1, 9, "b2");
     problems.sort();
-    CHECK(problems.text() == "f:1:2: a\nf:1:9: b\nf:1:9: b2\nf:2:1: c\n");
+    CHECK(problems.text() == "f:1:2: a [x]\nf:1:9: b [x]\nf:1:9: b2 [x]\nf:2:1: c [x]\n");
   }
 
   TEST_CASE("the nearest name is found only when it is near") {

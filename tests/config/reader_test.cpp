@@ -121,9 +121,9 @@ TEST_SUITE("config") {
     const ConfigDocument document = parse_config("{\"a\": 1, \"b\": {\"c\": 1,\n \"c\": {}, \"c\": 3},\n \"a\": 2}",
                                                  "f");
     CHECK(document.problems.text() ==
-          "f:2:2: b.c: this key is already at f:1:16\n"
-          "f:2:11: b.c: this key is already at f:1:16\n"
-          "f:3:2: a: this key is already at f:1:2\n");
+          "f:2:2: b.c: this key is already at f:1:16 [duplicate-key]\n"
+          "f:2:11: b.c: this key is already at f:1:16 [duplicate-key]\n"
+          "f:3:2: a: this key is already at f:1:2 [duplicate-key]\n");
     CHECK(document.root.at("a").get<int>() == 1);
     CHECK(id_of("{\"a\": 1, \"\\u0061\": 2}") == "duplicate-key");
   }
@@ -131,8 +131,8 @@ TEST_SUITE("config") {
   TEST_CASE("US-19 what was wrong before a syntax error is told as well") {
     const ConfigDocument document = parse_config("{\"a\": 1, \"a\": 2, b}", "f");
     CHECK(document.problems.text() ==
-          "f:1:10: a: this key is already at f:1:2\n"
-          "f:1:18: expected a key in \"quotes\", found 'b'\n");
+          "f:1:10: a: this key is already at f:1:2 [duplicate-key]\n"
+          "f:1:18: expected a key in \"quotes\", found 'b' [syntax]\n");
   }
 
   TEST_CASE("US-19 comments and a byte order mark are allowed") {
@@ -196,7 +196,7 @@ TEST_SUITE("config") {
   TEST_CASE("a problem is shown with its line and a caret under its column") {
     const ConfigDocument document = parse_config("{\n\t\"\xc3\xa9\": tru\r\n}", "f.json");
     CHECK(document.report() ==
-          "f.json:2:7: expected a value, found 'tru'; text needs \"quotes\" (did you mean \"true\"?)\n"
+          "f.json:2:7: expected a value, found 'tru'; text needs \"quotes\" (did you mean \"true\"?) [syntax]\n"
           "   \"\xc3\xa9\": tru\n"
           "        ^\n");
     const ConfigDocument wide = parse_config(
@@ -205,7 +205,7 @@ TEST_SUITE("config") {
     CHECK(excerpt.size() < 250);
     const std::size_t line_end = excerpt.find('\n');
     CHECK(excerpt.find('?') == excerpt.find('^') - line_end - 1);
-    CHECK(parse_config("", "f.json").report() == "f.json: the configuration is empty\n");
+    CHECK(parse_config("", "f.json").report() == "f.json: the configuration is empty [empty]\n");
     Problem elsewhere = wide.problems[0];
     elsewhere.place.line = 9;
     CHECK(wide.excerpt(elsewhere).empty());
@@ -219,17 +219,19 @@ TEST_SUITE("config") {
     CHECK(load_config(folder.file("good.json", "{\"a\": [1]}")).root.at("a[0]").get<int>() == 1);
     CHECK(load_config(folder.file("none", "{}")).good());
     CHECK(load_config(folder.file("UPPER.JSON", "{}")).good());
-    CHECK(text_of(folder.path) == folder.path + ": cannot read the configuration: Is a directory\n");
-    CHECK(text_of("/nowhere/x.json") == "/nowhere/x.json: cannot read the configuration: No such file or directory\n");
-    CHECK(text_of("/proc/self/mem") == "/proc/self/mem: cannot read the configuration: Input/output error\n");
-    CHECK(text_of(folder.file("empty.json", "")) == folder.path + "/empty.json: the configuration is empty\n");
+    CHECK(text_of(folder.path) == folder.path + ": cannot read the configuration: Is a directory [cannot-read]\n");
+    CHECK(text_of("/nowhere/x.json") ==
+          "/nowhere/x.json: cannot read the configuration: No such file or directory [cannot-read]\n");
+    CHECK(text_of("/proc/self/mem") ==
+          "/proc/self/mem: cannot read the configuration: Input/output error [cannot-read]\n");
+    CHECK(text_of(folder.file("empty.json", "")) == folder.path + "/empty.json: the configuration is empty [empty]\n");
     const std::string closed = folder.file("closed.json", "{}");
     ::chmod(closed.c_str(), 0);
     if (::access(closed.c_str(), R_OK) != 0)
-      CHECK(text_of(closed) == closed + ": cannot read the configuration: Permission denied\n");
+      CHECK(text_of(closed) == closed + ": cannot read the configuration: Permission denied [cannot-read]\n");
     CHECK(text_of(folder.file("x.yaml", "a: 1")) == folder.path +
                                                         "/x.yaml: no configuration format has the extension "
-                                                        "\".yaml\"; available: .json, .jsonc\n");
+                                                        "\".yaml\"; available: .json, .jsonc [unknown-format]\n");
     CHECK(load_config("/dev/zero").problems[0].id == "too-large");
     CHECK_THROWS_AS((void)load_config("/nowhere/x.json").or_throw(), ConfigError);
   }
@@ -247,8 +249,8 @@ TEST_SUITE("config") {
     CHECK(root.at("adc").key_place() == ConfigPlace{file, 5, 2});
     const ConfigDocument wrong = parse_config("a = 1\na = 2\n[s]\nnothing", "w.ini", formats);
     CHECK(wrong.problems.text() ==
-          "w.ini:2:1: a: this key is already at w.ini:1:1\n"
-          "w.ini:4:1: s: expected KEY = TEXT\n");
+          "w.ini:2:1: a: this key is already at w.ini:1:1 [duplicate-key]\n"
+          "w.ini:4:1: s: expected KEY = TEXT [syntax]\n");
     CHECK(load_config(folder.file("x.json", "{}"), formats).good());
   }
 }

@@ -621,9 +621,9 @@ TEST_SUITE("config") {
               "sensors[0].fields[0].unit: \"Volts\" is not a unit"));
     // What is a temperature by its name.
     CHECK(has(warnings(serial(R"({"name": "temperature", "unit": "C"})", "")),
-              "sensors[0].fields: the unit C of temperature is the coulomb; degrees are Cel\n"));
+              "sensors[0].fields: the unit C of temperature is the coulomb; degrees are Cel [unlikely-unit]\n"));
     CHECK(has(warnings(analog(R"(, "unit": "F", "topic": "oven/Temp")")),
-              "sensors[0].unit: the unit F of value is the farad; degrees are [degF]\n"));
+              "sensors[0].unit: the unit F of value is the farad; degrees are [degF] [unlikely-unit]\n"));
     CHECK(warnings(serial(R"({"name": "charge", "unit": "C"}, {"name": "temperature", "unit": "Cel"})", "")).empty());
     CHECK(has(warnings(serial(R"({"name": "x", "length": 9})", "")),
               "sensors[0].fields[0].length: it has no effect with `type` double, only with text"));

@@ -76,30 +76,31 @@ TEST_SUITE("config") {
   TEST_CASE("US-17 checking an item tells every mistake and makes nothing") {
     CHECK(problems_of(R"({"type": "analog", "file": "x"})") == "");
     CHECK(problems_of(R"({"type": "analgo"})") ==
-          "f.json:1:10: type: there is no sensor type \"analgo\" (did you mean \"analog\"?)\n");
+          "f.json:1:10: type: there is no sensor type \"analgo\" (did you mean \"analog\"?) [unknown-type]\n");
     CHECK(problems_of(R"({"type": "lidar"})") ==
-          "f.json:1:10: type: there is no sensor type \"lidar\"; available: analog, gpsd\n");
+          "f.json:1:10: type: there is no sensor type \"lidar\"; available: analog, gpsd [unknown-type]\n");
     CHECK(problems_of(R"({"name": "x"})") ==
-          "f.json:1:1: \"type\" is missing: the type of the sensor, one of analog, gpsd\n");
-    CHECK(problems_of(R"({"type": 5})") == "f.json:1:10: type: expected a string, got the number 5\n");
-    CHECK(problems_of(R"([])") == "f.json:1:1: expected an object, got an empty list\n");
+          "f.json:1:1: \"type\" is missing: the type of the sensor, one of analog, gpsd [missing-key]\n");
+    CHECK(problems_of(R"({"type": 5})") == "f.json:1:10: type: expected a string, got the number 5 [wrong-type]\n");
+    CHECK(problems_of(R"([])") == "f.json:1:1: expected an object, got an empty list [wrong-type]\n");
     CHECK(problems_of(R"({"type": "gpsd", "port": 70000, "naem": "x"})") ==
-          "f.json:1:33: naem: unknown key (did you mean \"name\"?)\n"
-          "f.json:1:26: port: 70000 is out of range: 0 to 65535\n");
+          "f.json:1:33: naem: unknown key (did you mean \"name\"?) [unknown-key]\n"
+          "f.json:1:26: port: 70000 is out of range: 0 to 65535 [out-of-range]\n");
   }
 
   TEST_CASE("an error of a factory gets the place of its item") {
     int count = 0;
     const ConfigItem root = parse_config("[\n {\"type\": \"analog\", \"file\": \"gone\"}]", "f.json").or_throw();
-    CHECK_THROWS_WITH_AS((void)sensors().create(root.at(0), count), "cannot open: f.json:2:2: [0]: gone: No such file",
-                         SetupError);
+    CHECK_THROWS_WITH_AS((void)sensors().create(root.at(0), count),
+                         "cannot open: f.json:2:2: [0]: gone: No such file [not-found]", SetupError);
   }
 
   TEST_CASE("a type cannot be added twice") {
     Sensors registry = sensors();
-    CHECK_THROWS_WITH_AS(registry.add<Gps>("gpsd", "", [](int&, const Gps&) { return Made(); }),
-                         "cannot add the sensor type \"gpsd\": there is one of this name already: choose another name",
-                         SetupError);
+    CHECK_THROWS_WITH_AS(
+        registry.add<Gps>("gpsd", "", [](int&, const Gps&) { return Made(); }),
+        "cannot add the sensor type \"gpsd\": there is one of this name already: choose another name [bad-argument]",
+        SetupError);
   }
 
   TEST_CASE("US-17 a type that the program was built without is told apart from one that nobody knows") {

@@ -233,12 +233,13 @@ f.json:16:38: sinks[2].when_full
   {"type": "discard", "path": "out"},
   {"type": "discard", "path": "./out"},
   {"type": "discard"}, {"type": "discard"}]})");
-    CHECK(
-        text ==
-        "f.json:3:12: sensors[1].name: there is a sensor \"a\" already, at f.json:2:12; give each a `name` of its own\n"
-        "f.json:6:31: sinks[1].path: the sink at f.json:5:3 writes \"out\" already; two writers on one file destroy "
-        "it; choose another\n"
-        "f.json:7:24: sinks[3]: there is a sink \"discard\" already, at f.json:7:3; give each a `name` of its own\n");
+    CHECK(text ==
+          "f.json:3:12: sensors[1].name: there is a sensor \"a\" already, at f.json:2:12; give each a `name` of its "
+          "own [duplicate-name]\n"
+          "f.json:6:31: sinks[1].path: the sink at f.json:5:3 writes \"out\" already; two writers on one file destroy "
+          "it; choose another [duplicate-path]\n"
+          "f.json:7:24: sinks[3]: there is a sink \"discard\" already, at f.json:7:3; give each a `name` of its own "
+          "[duplicate-name]\n");
   }
 
   TEST_CASE("US-17 what is wrong between items is told though one of them has a mistake of its own") {
@@ -289,7 +290,7 @@ f.json:16:38: sinks[2].when_full
         });
     const std::string document = R"({"sensors": [], "sinks": [)" + std::string(text) + "]}";
     const std::string told = plan_system(types, parse_config(document, "f.json")).problems.text();
-    CHECK(told.find("f.json:1:52: sinks[0].path: it is empty, and must not be\n") != std::string::npos);
+    CHECK(told.find("f.json:1:52: sinks[0].path: it is empty, and must not be [bad-value]\n") != std::string::npos);
     CHECK(told.find("sinks[0].queue_bytes") != std::string::npos);
     Loop loop{Loop::Manual{}};
     System system(loop, types, parse_config("{}", "f.json"));
@@ -307,9 +308,8 @@ f.json:16:38: sinks[2].when_full
     CHECK(text.starts_with(
         "f.json:3:60: sensors[1].topic: the topic \"x\" carries \"count\" of sensor a, at f.json:2:61, and "
         "\"level\" of this one; "));
-    CHECK(
-        text.find("f.json:4:61: sensors[2].topic: the topic \"X\" differs in case only from \"x\", at f.json:2:61\n") !=
-        std::string::npos);
+    CHECK(text.find("f.json:4:61: sensors[2].topic: the topic \"X\" differs in case only from \"x\", at f.json:2:61 "
+                    "[bad-name]\n") != std::string::npos);
     CHECK(text.find("sensors[3]") == std::string::npos);  // the same payload may share a topic
   }
 
@@ -345,25 +345,28 @@ f.json:16:38: sinks[2].when_full
   }
 
   TEST_CASE("US-33 mistakes of tiers are told with their places") {
-    CHECK(problems_of(R"({"tiers": {"fast": {"policy": "fifo"}, "slow": {"priority": 3}, "odd": {"cpu": 1, "cpus": [0]},
+    CHECK(
+        problems_of(R"({"tiers": {"fast": {"policy": "fifo"}, "slow": {"priority": 3}, "odd": {"cpu": 1, "cpus": [0]},
  "wrong": {"policy": "realtime"}},
  "sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz", "tier": "fsat"}]})") ==
-          "f.json:1:31: tiers.fast.policy: policy \"fifo\" needs a `priority` from 1 to 99\n"
-          "f.json:1:61: tiers.slow.priority: only the policies \"fifo\" and \"rr\" have a priority\n"
-          "f.json:1:80: tiers.odd.cpu: give `cpu` or `cpus`, not both\n"
-          "f.json:2:22: tiers.wrong.policy: expected one of other, fifo, rr, got the string \"realtime\"\n"
-          "f.json:3:71: sensors[0].tier: there is no tier \"fsat\" in `tiers` (did you mean \"fast\"?)\n");
-    CHECK(problems_of(R"({"tiers": {"main": {}, "": {"polcy": "fifo"}, "a\nb": {}, "good": {}},
+        "f.json:1:31: tiers.fast.policy: policy \"fifo\" needs a `priority` from 1 to 99 [bad-value]\n"
+        "f.json:1:61: tiers.slow.priority: only the policies \"fifo\" and \"rr\" have a priority [bad-value]\n"
+        "f.json:1:80: tiers.odd.cpu: give `cpu` or `cpus`, not both [bad-value]\n"
+        "f.json:2:22: tiers.wrong.policy: expected one of other, fifo, rr, got the string \"realtime\" "
+        "[unknown-choice]\n"
+        "f.json:3:71: sensors[0].tier: there is no tier \"fsat\" in `tiers` (did you mean \"fast\"?) [unknown-tier]\n");
+    CHECK(
+        problems_of(R"({"tiers": {"main": {}, "": {"polcy": "fifo"}, "a\nb": {}, "good": {}},
  "sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz", "tier": "c\nd"}]})") ==
-          "f.json:1:12: tiers.main: the main loop has that name; give the tier another\n"
-          "f.json:1:24: tiers[\"\"]: a name has 1 to 200 characters of UTF-8 and no control characters\n"
-          "f.json:1:29: tiers[\"\"].polcy: unknown key (did you mean \"policy\"?)\n"
-          "f.json:1:47: tiers[\"a\\nb\"]: a name has 1 to 200 characters of UTF-8 and no control characters\n"
-          "f.json:2:71: sensors[0].tier: there is no tier \"c\\nd\" in `tiers`\n");
+        "f.json:1:12: tiers.main: the main loop has that name; give the tier another [bad-name]\n"
+        "f.json:1:24: tiers[\"\"]: a name has 1 to 200 characters of UTF-8 and no control characters [bad-name]\n"
+        "f.json:1:29: tiers[\"\"].polcy: unknown key (did you mean \"policy\"?) [unknown-key]\n"
+        "f.json:1:47: tiers[\"a\\nb\"]: a name has 1 to 200 characters of UTF-8 and no control characters [bad-name]\n"
+        "f.json:2:71: sensors[0].tier: there is no tier \"c\\nd\" in `tiers` [unknown-tier]\n");
     CHECK(
         planned(
             R"({"tiers": {"idle": {}}, "sensors": [{"name": "a", "type": "tallied", "rate": "1 Hz"}], "sinks": [{"type": "discard"}]})")
-            .warnings.text() == "f.json:1:20: tiers.idle: no sensor runs on tier \"idle\"\n");
+            .warnings.text() == "f.json:1:20: tiers.idle: no sensor runs on tier \"idle\" [unused-tier]\n");
   }
 
   TEST_CASE(
@@ -425,16 +428,17 @@ f.json:16:38: sinks[2].when_full
   "sinks": [{"type": "discard", "topics": ["presure", "pressure"]}]})")
               .warnings.text() ==
           "f.json:2:44: sinks[0].topics[0]: no sensor of this file publishes on \"presure\" (did you mean "
-          "\"pressure\"?)\n");
+          "\"pressure\"?) [matches-nothing]\n");
     // All that a sink takes is mistyped: nothing would be kept.
     CHECK(planned(R"({"sensors": [{"name": "pressure", "type": "tallied", "rate": "1 Hz"}],
   "sinks": [{"type": "discard", "topics": ["presure"]}]})")
               .warnings.text() ==
           "f.json:2:44: sinks[0].topics[0]: no sensor of this file publishes on \"presure\", and nothing goes to this "
-          "sink (did you mean \"pressure\"?)\n");
+          "sink (did you mean \"pressure\"?) [matches-nothing]\n");
     const SystemPlan empty = planned(R"({"sensors": []})");
     CHECK(empty.good());
-    CHECK(empty.warnings.text() == "f.json:1:13: sensors: there are no sensors: nothing will be recorded\n");
+    CHECK(empty.warnings.text() ==
+          "f.json:1:13: sensors: there are no sensors: nothing will be recorded [no-sensors]\n");
     CHECK(planned("{}").warnings.size() == 1);
   }
 
@@ -462,7 +466,8 @@ f.json:16:38: sinks[2].when_full
   {"name": "b", "type": "absent", "rate": "1 Hz", "required": true}], "sinks": [{"type": "discard"}]})");
     CHECK_THROWS_WITH_AS(
         System(loop, types, plan),
-        "cannot open the device: f.json:2:3: sensor b: /dev/absent: No such file or directory: plug it in", SetupError);
+        "cannot open the device: f.json:2:3: sensor b: /dev/absent: No such file or directory: plug it in [not-found]",
+        SetupError);
     CHECK(loop.runtime().sensors().empty());
   }
 

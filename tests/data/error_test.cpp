@@ -3,6 +3,8 @@
 #include <doctest/doctest.h>
 
 #include <cerrno>
+#include <stdexcept>
+#include <string>
 
 using namespace rtdata;
 
@@ -13,6 +15,15 @@ TEST_SUITE("data") {
     const Error brief{Errc::closed, "closed", "", "", ""};
     CHECK(brief.text() == "closed");
     CHECK(full.id() == "not-found");
+    CHECK(full.text_with_id() == "cannot open: /dev/x: No such file: plug it in [not-found]");
+  }
+
+  TEST_CASE("what is thrown ends with its id, and as the reason of another error it does not") {
+    const SetupError refused({Errc::busy, "cannot open", "x", "", ""});
+    CHECK(std::string(refused.what()) == "cannot open: x [busy]");
+    CHECK(detail::reason_of(refused) == "cannot open: x");
+    CHECK(detail::reason_of(std::runtime_error("x [busy]")) == "x [busy]");
+    CHECK(detail::with_id("text", "") == "text");
   }
 
   TEST_CASE("every error code has an id of its own") {
@@ -34,7 +45,7 @@ TEST_SUITE("data") {
   TEST_CASE("a failed result throws its error only when asked to") {
     Result<int> bad = Error{Errc::bad_data, "no", "", "", ""};
     CHECK_FALSE(bad);
-    CHECK_THROWS_WITH_AS(bad.or_throw(), "no", SetupError);
+    CHECK_THROWS_WITH_AS(bad.or_throw(), "no [bad-data]", SetupError);
     Result<int> good = 3;
     CHECK(good.or_throw() == 3);
     CHECK_NOTHROW(Result<void>().or_throw());

@@ -174,25 +174,41 @@ def check_paths(source):
                 problem(f"{page}:{number}", f"there is no {word}")
 
 
-def check_errors(source):
+def check_errors(source, program):
+    """Each id has a section, which says what to do and ends with a message; what people meet ends with an id."""
     ids = re.findall(r'case Errc::\w+:\s+return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
     enumerators = "|".join(name.replace("-", "_") for name in ids if "-" in name)
     for path in (source / "include").rglob("*.hpp"):
         for word in re.findall(rf"^ *//.*?(?<!::)\b({enumerators})\b", path.read_text(), re.M):
             problem(path.relative_to(source), f"calls an error {word}, whose id is {word.replace('_', '-')}")
-    header = (source / "include/rtdata/data/problem.hpp").read_text()
-    listed = re.search(r"Ids in use: (.*?)\. They do not", header, re.S)
-    ids += re.findall(r"[a-z-]+", listed[1].replace("///", " "))
-    header = (source / "include/rtdata/config/system.hpp").read_text()
-    listed = re.search(r"beside those of problem.hpp: (.*?); of warnings: (.*?)\.\n", header, re.S)
-    ids += re.findall(r"[a-z-]+", (listed[1] + "," + listed[2]).replace("///", " "))
-    # Those that these two headers leave out: of more than one word, where they are made.
-    for path in (source / "src").rglob("*.[ch]pp"):
-        for call in re.findall(r"\b(?:problem\w*|warn\w*|add|report|mistake|told)\(([^;]*?);", path.read_text()):
+    for path in [*(source / "src").rglob("*.[ch]pp"), *(source / "include").rglob("*.hpp")]:
+        text = path.read_text()
+        ids += ["unknown-" + kind for kind in re.findall(r'\bnames_part\("(\w+)"', text)]
+        ids += re.findall(r'\.problem\(\s*"([a-z]+)", ', text)
+        for call in re.findall(r"\b(?:problem\w*|warn\w*|add|report|mistake|told|fail|print_error)\(([^;]*?);", text):
             ids += re.findall(r'"([a-z]+(?:-[a-z]+)+)"', call)
-    headings = set(re.findall(r"^### `([a-z-]+)`$", (source / "docs/errors.md").read_text(), re.M))
-    for name in sorted(set(ids) - {"ok"} - headings):
+    page = (source / "docs/errors.md").read_text()
+    sections = dict(re.findall(r"^### `([a-z-]+)`\n(.*?)(?=^##|\Z)", page, re.M | re.S))
+    for name in sorted(set(ids) - {"ok"} - set(sections)):
         problem("docs/errors.md", f"no heading for {name}")
+    for name, text in sections.items():
+        if "**Do:**" not in text:
+            problem("docs/errors.md", f"{name} does not say what to do")
+        if not re.search(rf"^    \S.* \[{name}\]\n*\Z", text, re.M):
+            problem("docs/errors.md", f"{name} does not end with a message as it looks")
+    if program is None:
+        print("skipped: the ids of what the program prints, since it is not built")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "wrong.json").write_text(
+            '{"sensors": [{"name": "a", "type": "host", "quantity": "load", "rate": "1 Hz", "rtae": "1 Hz"}]}')
+        for command, wanted in (("check wrong.json", "unknown-key"), ("verify none.db", "not-found"),
+                                ("info none.db", "not-found"), ("verify wrong.json", "not-a-recording"),
+                                ("types hots", "unknown-type"), ("run --fro", "bad-argument"), ("vrify", "bad-argument")):
+            done = run([program, *command.split()], cwd=folder)
+            line = ((done.stdout + done.stderr).splitlines() or [""])[0]
+            if wanted not in sections or not line.endswith(f" [{wanted}]"):
+                problem("docs/errors.md", f"does not explain the error of `rtdata {command}`: {line}")
 
 
 GENERATED = re.compile(r"(<!-- begin of what `rtdata types` says -->\n).*(<!-- end of it -->\n)", re.S)
@@ -375,7 +391,7 @@ def main():
     check_examples(source, compiler)
     check_links(source)
     check_paths(source)
-    check_errors(source)
+    check_errors(source, program)
     check_types(source, program, check_drivers_page(source, program, rewrite=False))
     check_handles(source)
     check_sentences(source)

@@ -29,7 +29,7 @@ std::string refusal(const std::function<void()>& make) {
     make();
     return "";
   } catch (const SetupError& error) {
-    return std::string(error.error().id()) + ": " + error.what();
+    return std::string(error.error().id()) + ": " + error.error().text();
   }
 }
 using rtdata::test::has;

@@ -1,9 +1,12 @@
 #include "rtdata/loop/runtime.hpp"
 
 #include <doctest/doctest.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <cstdio>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "loop/core/loop_core.hpp"
@@ -206,6 +209,31 @@ TEST_CASE("NFR-1 a tier that hangs is reported by name, is faulted, and ok again
   CHECK(run_until(loop, [&] { return count("tier fast ok") == 1 && watch.all_turn(); }));
   CHECK(count("tier fast faulted") == 1);
   CHECK_THROWS_AS(TierWatch(loop, Duration{0}), SetupError);
+}
+
+TEST_CASE("NFR-5 an error that no handler takes goes to standard error, with its id in brackets") {
+  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(std::tmpfile(), std::fclose);
+  const int before = ::dup(STDERR_FILENO);
+  REQUIRE(::dup2(::fileno(file.get()), STDERR_FILENO) >= 0);
+  {
+    Loop loop{Loop::Manual{}};
+    Sensor<Count> sensor(loop, {.name = "s", .rate = 10_Hz, .faulted_after = 1}, []() -> Result<Count> {
+      throw SetupError({Errc::not_found, "cannot read", "/dev/x", "", ""});
+    });
+    loop.advance(100ms);
+  }
+  std::fflush(stderr);
+  ::dup2(before, STDERR_FILENO);
+  ::close(before);
+  std::rewind(file.get());
+  std::string said(10000, '\0');
+  said.resize(std::fread(said.data(), 1, said.size(), file.get()));
+  CHECK(said.starts_with("rtdata: error: sensor s: "));
+  CHECK(said.find("cannot read: /dev/x [handler-threw]\n") != std::string::npos);
+  CHECK(said.find("[not-found]") == std::string::npos);
+  CHECK(said.find("rtdata: warning: sensor s: faulted: ") != std::string::npos);
+  for (std::size_t end = said.find('\n'); end != std::string::npos; end = said.find('\n', end + 1))
+    CHECK_MESSAGE(said[end - 1] == ']', said);
 }
 
 TEST_SUITE_END();

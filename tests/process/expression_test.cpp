@@ -109,7 +109,8 @@ TEST_CASE("names are those of topics and fields") {
   hidden.set(0, 1);
   CHECK(hidden.evaluate(start).value == doctest::Approx(1 + 3.14159265358979));
   CHECK_THROWS_WITH_AS(Expression("1", {"a/b", "a.b"}),
-                       "cannot make an expression: \"1\": two names are the same: a/b and a.b: give each name once",
+                       "cannot make an expression: \"1\": two names are the same: a/b and a.b: give each name once "
+                       "[bad-argument]",
                        SetupError);
   Expression functions_too("rate + rate(rate)", {"rate"});
   functions_too.set(0, 1);

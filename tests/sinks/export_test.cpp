@@ -92,8 +92,9 @@ TEST_CASE("FW-5 a folder's files are replaced only when that is asked for, and n
     std::ostringstream out, err;
     CHECK(app::export_recording({.database = path, .format = format, .folder = folder / "out"}, out, err) == 1);
     CHECK(out.str() == "");
-    CHECK(err.str() == "rtdata: cannot export into the folder: " + (folder / "out/room/climate.jsonl") +
-                           ": the file exists: choose another folder, or have them replaced (--overwrite)\n");
+    CHECK(err.str() ==
+          "rtdata: cannot export into the folder: " + (folder / "out/room/climate.jsonl") +
+              ": the file exists: choose another folder, or have them replaced (--overwrite) [bad-argument]\n");
     CHECK(content_of(folder / "out/room/climate.jsonl") == "my own configuration");
     CHECK_FALSE(std::filesystem::exists(folder / "out/every"));
   }

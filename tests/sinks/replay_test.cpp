@@ -338,7 +338,7 @@ TEST_CASE("FW-5 what cannot be replayed is refused, with the reason") {
     try {
       const Replay replay(again.loop, std::move(config));
     } catch (const SetupError& error) {
-      return std::string(error.error().id()) + ": " + error.what();
+      return std::string(error.error().id()) + ": " + error.error().text();
     }
     return std::string("none");
   };

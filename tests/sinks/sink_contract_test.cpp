@@ -241,7 +241,7 @@ TEST_SUITE("sinks") {
       wrong.topics = {"words"};
       CHECK_THROWS_WITH_AS(store.make(loop, wrong),
                            "cannot attach sink sink: topic words: its payload has no description, so it cannot be "
-                           "recorded: give its type a `describe`",
+                           "recorded: give its type a `describe` [bad-description]",
                            SetupError);
       wrong.topics = {"a//b"};
       CHECK_THROWS_AS(store.make(loop, wrong), SetupError);

@@ -352,7 +352,7 @@ TEST_SUITE("sinks") {
       CHECK(sink.health() == Health::faulted);
     }
     CHECK(bench.script->rows.size() == 1);
-    CHECK_THROWS_WITH_AS(bench.make(), "not this one: no", SetupError);
+    CHECK_THROWS_WITH_AS(bench.make(), "not this one: no [bad-argument]", SetupError);
     bench.publish(1);  // no tap is left
     CHECK(bench.loop.runtime().sinks().size() == 1);
   }

@@ -57,7 +57,7 @@ std::string refusal(const SqliteConfig& config) {
   try {
     SqliteSink sink(loop, config);
   } catch (const SetupError& error) {
-    return std::string(error.error().id()) + ": " + error.what();
+    return std::string(error.error().id()) + ": " + error.error().text();
   }
   return "";
 }

@@ -17,11 +17,7 @@
 /// machine than the one that runs the system. Relative paths are relative to the working directory.
 ///
 /// Keys of the file: $schema, name, notes, log, control, page, loop, tiers, and those of the registry's kinds of parts:
-/// buses, sinks, sensors. Ids of problems, beside those of problem.hpp: bad-name, cannot-record, cannot-resolve,
-/// cannot-write, description-differs, duplicate-name, duplicate-path, not-recorded, unknown-bus, unknown-sensor,
-/// unknown-sink, unknown-tier, unknown-topic, uses-itself, wrong-part; of warnings: in-memory, late-readings,
-/// loses-data, matches-nothing, no-effect, no-sensors, no-sinks, overloaded-lane, overloaded-loop, plain-secret,
-/// sent-twice, unknown-placeholder, unknown-unit, unlikely-unit, unused-tier.
+/// buses, sinks, sensors. docs/errors.md explains the ids of problems and warnings.
 ///
 /// Owner: the user; plan and registry as values, the registry must outlive a system made with it.
 /// Thread: plans any, systems the loop's.

@@ -6,12 +6,13 @@
 /// explains it.
 ///
 ///     rtdata::Result<rtdata::Rate> rate = rtdata::parse_rate(text);
-///     if (!rate) std::cerr << rate.error().text() << '\n';   // what: where: why: what to do
+///     if (!rate) std::cerr << rate.error().text_with_id() << '\n';   // what: where: why: what to do [id]
 ///     else sensor.set_rate(*rate);
 ///
 /// Values; any thread.
 #pragma once
 
+#include <exception>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -73,6 +74,8 @@ struct Error {
 
   /// "what: where: why: advice", empty parts left out.
   std::string text() const;
+  /// What a person is shown: text() and the id, "what: where: why: advice [not-found]".
+  std::string text_with_id() const;
   /// The stable id ("not-found"), or "system" for an error code of another category.
   std::string_view id() const noexcept;
 
@@ -82,15 +85,22 @@ struct Error {
 /// The error of the operating system's `errno_value`, with the `Errc` that fits it and `why` filled in.
 Error system_error(int errno_value, std::string what, std::string where, std::string advice = {});
 
-/// Thrown by set-up only. `what()` is `error().text()`.
+/// Thrown by set-up only. `what()` is `error().text_with_id()`.
 class SetupError : public std::runtime_error {
  public:
-  explicit SetupError(Error error) : std::runtime_error(error.text()), error_(std::move(error)) {}
+  explicit SetupError(Error error);
   const Error& error() const noexcept { return error_; }
 
  private:
   Error error_;
 };
+
+namespace detail {
+/// `text` and, unless it is empty, the id in brackets.
+std::string with_id(std::string text, std::string_view id);
+/// `what()`; of a SetupError without its id: for a part of another error, which has an id of its own.
+std::string_view reason_of(const std::exception& thrown) noexcept;
+}  // namespace detail
 
 /// A value or an error. Use: `if (!r) return r.error(); use(*r);` Reading the value of a failed result, or the error of
 /// a good one, is undefined (asserted in debug builds).

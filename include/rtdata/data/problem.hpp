@@ -3,11 +3,9 @@
 /// Reading a configuration never stops at the first mistake. Each one becomes a `Problem` with a stable id, the place
 /// in the file, the path in the tree, a sentence and, where a name was probably mistyped, the name that was meant:
 ///
-///     bench.json:7:43: sensors[0].rtae: unknown key (did you mean "rate"?)
+///     bench.json:7:43: sensors[0].rtae: unknown key (did you mean "rate"?) [unknown-key]
 ///
-/// Ids in use: bad-encoding, bad-value, cannot-read, duplicate-key, empty, missing-key, out-of-range, syntax, too-deep,
-/// too-large, unknown-choice, unknown-format, unknown-key, unknown-type, wrong-length, wrong-type. They do not change
-/// between versions; docs/errors.md explains them.
+/// docs/errors.md explains every id. The ids do not change between versions.
 ///
 /// Values; any thread.
 #pragma once
@@ -43,6 +41,8 @@ struct Problem {
 
   /// `file:line:column: path: message (did you mean "rate"?)`, without the empty parts.
   std::string text() const;
+  /// The text for users: text() and the id in brackets.
+  std::string text_with_id() const;
   /// The same as an error of code bad-configuration.
   Error error() const;
   bool operator==(const Problem&) const = default;
@@ -65,15 +65,15 @@ class Problems {
 
   /// Orders them by line and column; those of one place keep their order.
   void sort();
-  /// One line per problem, each ended by a newline.
+  /// One line per problem, with its id, each ended by a newline.
   std::string text() const;
 
  private:
   std::vector<Problem> list_;
 };
 
-/// Thrown if a configuration with mistakes is used. `what()` is the text of the first problem and the number of further
-/// ones.
+/// Thrown if a configuration with mistakes is used. `what()` is the text of the first problem, the number of further
+/// ones and the id bad-configuration.
 class ConfigError : public SetupError {
  public:
   /// `problems` is not empty.

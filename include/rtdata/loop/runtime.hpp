@@ -119,7 +119,7 @@ std::string_view name_of(SchedulingPolicy policy) noexcept;
 ///
 ///     rtdata::PriorityRange range = rtdata::priority_range(rtdata::SchedulingPolicy::fifo);   // 1 to 99
 ///     if (auto set = rtdata::set_scheduling({rtdata::SchedulingPolicy::fifo, 80}); !set)
-///       std::cerr << set.error().text();
+///       std::cerr << set.error().text_with_id();
 ///
 /// Real-time policies need permission: run as root, or with CAP_SYS_NICE (`setcap cap_sys_nice,cap_ipc_lock+ep
 /// PROGRAM`), or with `rtprio` in /etc/security/limits.conf, or `LimitRTPRIO=` in a systemd unit.

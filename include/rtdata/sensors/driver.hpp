@@ -328,7 +328,7 @@ class DriverDevice final : public detail::LaneDevice {
       try {
         return function();
       } catch (const std::exception& e) {
-        return Error{Errc::handler_threw, what, "", e.what(), ""};
+        return Error{Errc::handler_threw, what, "", std::string(detail::reason_of(e)), ""};
       } catch (...) {
         return Error{Errc::handler_threw, what, "", "an exception that is not a std::exception", ""};
       }

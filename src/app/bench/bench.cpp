@@ -14,6 +14,7 @@
 #include <thread>
 
 #include "app/core/configuration_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/machine/machine_files.hpp"
 #include "data/rounded_time.hpp"
 #include "loop/tier/processors.hpp"
@@ -176,8 +177,10 @@ int bench(const BenchOptions& options) {
   if (options.cpu) {
     const cpu_set_t there = detail::bindable_processors();
     if (*options.cpu < 0 || *options.cpu >= CPU_SETSIZE || !CPU_ISSET(static_cast<std::size_t>(*options.cpu), &there)) {
-      std::cerr << "rtdata: --cpu " << *options.cpu
-                << ": this program may not use this processor; available: " << detail::list_of(there) << std::endl;
+      print_error(std::cerr,
+                  "--cpu " + std::to_string(*options.cpu) + ": this program may not use this processor; available: " +
+                      detail::list_of(there),
+                  "bad-argument");
       return exit_other;
     }
   }
@@ -186,7 +189,7 @@ int bench(const BenchOptions& options) {
     file.open(options.json_file);
     if (!file) {
       const Error error = system_error(errno, "cannot write the figures", options.json_file);
-      std::cerr << "rtdata: " << error.text() << std::endl;
+      print_error(std::cerr, error);
       return exit_other;
     }
   }
@@ -194,7 +197,7 @@ int bench(const BenchOptions& options) {
   const std::string text = json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
   std::cout << (options.json_file == "-" ? text : text_of(json)) << std::flush;
   if (file.is_open() && !(file << text << std::flush)) {
-    std::cerr << "rtdata: cannot write all figures: " << options.json_file << std::endl;
+    print_error(std::cerr, "cannot write all figures: " + options.json_file, "io-failed");
     return exit_other;
   }
   return exit_good;

@@ -173,7 +173,7 @@ CommandOutcome act(System& system, const Words& words, std::string_view by) {
   try {
     return {true, verb->act(system, words, by)};
   } catch (const std::exception& error) {
-    return {false, error.what()};
+    return {false, std::string(detail::reason_of(error))};
   }
 }
 
@@ -298,7 +298,7 @@ void CommandDesk::run_here(const Words& words, std::string_view by, Told told) {
         tell();
       });
     } catch (const std::exception& error) {
-      outcome->text = error.what();
+      outcome->text = detail::reason_of(error);
     }
   }
   if (words[0] == "tare") return tell();
@@ -324,7 +324,7 @@ void CommandDesk::keep(const Words& words, std::string_view by, const CommandOut
     record_.publish({detail::fitting<longest_command>(command), detail::fitting<60>(by), outcome.done,
                      detail::fitting<240>(outcome.text)});
   } catch (const std::exception& error) {
-    log_(std::string("a command is not recorded: ") + error.what(), false);
+    log_("a command is not recorded: " + std::string(detail::reason_of(error)), false);
   }
 }
 

@@ -5,6 +5,7 @@
 #include "app/control/commands.hpp"
 #include "app/control/instances.hpp"
 #include "app/core/configuration_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "rtdata/data/problem.hpp"
 
 namespace rtdata::app {
@@ -39,7 +40,8 @@ std::string ctl_help() {
 
 int ctl(const std::vector<std::string>& given) {
   if (given.empty()) {
-    std::cerr << "rtdata: which command?\n" << ctl_help() << std::flush;
+    print_error(std::cerr, "which command?", "bad-argument");
+    std::cerr << ctl_help() << std::flush;
     return exit_configuration;
   }
   // The first word may be an instance. An instance with the name of a command must be given by its pid.
@@ -51,9 +53,11 @@ int ctl(const std::vector<std::string>& given) {
   }
   if (!is_verb(words[0])) {
     const std::string nearest = nearest_name(words[0], known_verbs());
-    std::cerr << "rtdata: there is no command \"" << words[0] << "\"";
-    if (!nearest.empty()) std::cerr << "; did you mean \"" << nearest << "\"?";
-    std::cerr << "\n" << ctl_help() << std::flush;
+    print_error(
+        std::cerr,
+        "there is no command \"" + words[0] + "\"" + (nearest.empty() ? "" : "; did you mean \"" + nearest + "\"?"),
+        "bad-argument");
+    std::cerr << ctl_help() << std::flush;
     return exit_configuration;
   }
   int status = exit_good;
@@ -64,22 +68,24 @@ int ctl(const std::vector<std::string>& given) {
   const nlohmann::ordered_json request{{"request", "command"}, {"version", Status::newest}, {"words", words}};
   const auto line = found->client->ask(request.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace),
                                        answer_limit);
-  const auto fail = [&](const std::string& why) {
-    std::cerr << "rtdata: pid " << found->instance.pid << ": " << why << std::endl;
+  const auto fail = [&](const std::string& why, std::string_view id) {
+    print_error(std::cerr, "pid " + std::to_string(found->instance.pid) + ": " + why, id);
     return exit_other;
   };
-  if (!line) return fail(line.error().text() + "; the log of the instance says whether the command was done");
+  if (!line)
+    return fail(line.error().text() + "; the log of the instance says whether the command was done", line.error().id());
   if (line->find_first_not_of(" \r\n") == std::string::npos)
-    return fail("the command is not done yet; the log of the instance will have the result");
+    return fail("the command is not done yet; the log of the instance will have the result", "timed-out");
   const auto answer = nlohmann::ordered_json::parse(*line, nullptr, false);
   for (const char* key : {"done", "refused", "error", "ended"}) {
     if (!answer.is_object() || !answer.contains(key) || !answer[key].is_string()) continue;
     const std::string text = answer[key].get<std::string>();
-    if (std::string(key) != "done") return fail(text);
+    if (std::string(key) != "done") return fail(text, "refused");
     std::cout << text << std::endl;
     return exit_good;
   }
-  return fail("the answer of the instance does not fit the request; use the same version of the program on both sides");
+  return fail("the answer of the instance does not fit the request; use the same version of the program on both sides",
+              "bad-data");
 }
 
 }  // namespace rtdata::app

@@ -7,6 +7,7 @@
 
 #include "app/core/configuration_commands.hpp"
 #include "app/core/table.hpp"
+#include "app/core/terminal_text.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -77,10 +78,10 @@ std::optional<FoundInstance> choose_instance(const std::string& wanted, const ch
   status = exit_other;
   std::vector<Found> instances = find_instances(wanted);
   if (instances.empty()) {
-    std::cerr << "rtdata: no instance is running that this user may see; `rtdata run FILE` starts one" << std::endl;
+    print_error(std::cerr, "no instance is running that this user may see; `rtdata run FILE` starts one", "not-found");
     for (const std::string& folder : closed_folders())
-      std::cerr << "rtdata: " << folder << " belongs to another user, such as a service: `sudo rtdata " << command
-                << "`" << std::endl;
+      print_error(std::cerr, folder + " belongs to another user, such as a service: `sudo rtdata " + command + "`",
+                  "not-permitted");
     return std::nullopt;
   }
   std::vector<const Found*> all, matching;
@@ -94,20 +95,23 @@ std::optional<FoundInstance> choose_instance(const std::string& wanted, const ch
     chosen = &one;
   }
   if (matching.empty()) {
-    std::cerr << "rtdata: no running instance" << (all_answer ? "" : " that answers") << " is called \"" << wanted
-              << "\"; running:\n"
-              << list_of(all) << (all_answer ? "" : "name one that does not answer by its pid\n") << std::flush;
+    print_error(std::cerr,
+                std::string("no running instance") + (all_answer ? "" : " that answers") + " is called \"" + wanted +
+                    "\"; these are running",
+                "not-found");
+    std::cerr << list_of(all) << (all_answer ? "" : "name one that does not answer by its pid\n") << std::flush;
     return std::nullopt;
   }
   if (matching.size() > 1) {
-    std::cerr << "rtdata: several instances are running; name one, by pid or name:\n"
-              << list_of(matching) << std::flush;
+    print_error(std::cerr, "several instances are running; name one, by pid or name", "bad-argument");
+    std::cerr << list_of(matching) << std::flush;
     status = exit_configuration;
     return std::nullopt;
   }
   Found found = std::move(*chosen);
   if (!found.client) {
-    std::cerr << "rtdata: pid " << found.instance.pid << ": " << instance_does_not_answer().text() << std::endl;
+    const Error silent = instance_does_not_answer();
+    print_error(std::cerr, "pid " + std::to_string(found.instance.pid) + ": " + silent.text(), silent.id());
     return std::nullopt;
   }
   return found;  // closes the connections to the others

@@ -31,7 +31,7 @@ class FollowingReader final : public PastReader {
       });
       slice.has_more = more.or_throw();
     } catch (const std::exception& error) {
-      slice.failed = error.what();
+      slice.failed = detail::reason_of(error);
     }
     return slice;
   }

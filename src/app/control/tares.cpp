@@ -72,7 +72,7 @@ Tares::Tares(std::string file, const std::string& configuration) : file_(std::mo
       for (const auto& [field, tare] : fields.children())
         all_[{sensor, field}] = {tare.at("of").get<std::string>(), tare.at("tare").get<double>()};
   } catch (const std::exception& error) {
-    unreadable_ = error.what();
+    unreadable_ = detail::reason_of(error);
     all_.clear();
   }
 }
@@ -267,7 +267,7 @@ void TareDesk::finish(const std::shared_ptr<Taking>& taking) {
           taking->sensor + "." + taking->field + " reads 0 now: its tare is " + number_text(tare, digits_of_a_tare) +
               ", the mean of " + std::to_string(taking->count) + (taking->count == 1 ? " value" : " values"));
   } catch (const std::exception& error) {
-    taking->told(false, error.what());
+    taking->told(false, std::string(detail::reason_of(error)));
   }
 }
 

@@ -9,6 +9,7 @@
 #include "app/control/status_view.hpp"
 #include "app/control/terminal.hpp"
 #include "app/core/configuration_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "data/utf8.hpp"
 
 namespace rtdata::app {
@@ -56,7 +57,7 @@ int show(FoundInstance& found, const TopOptions& options) {
   if (!found.answers) {
     const auto first = next_answer();
     goes_on = first.has_value();
-    if (first && !*first) failed = first->error().text();
+    if (first && !*first) failed = first->error().text_with_id();
   }
   while (goes_on && failed.empty() && std::cout.good() && terminal.wait(refresh)) {
     found.client->send(status_request);
@@ -64,7 +65,7 @@ int show(FoundInstance& found, const TopOptions& options) {
     if (!line) break;
     const auto status = *line ? status_from(**line) : Result<Status>(line->error());
     if (!status) {
-      failed = status.error().text();
+      failed = status.error().text_with_id();
       has_ended = *line && status.error().code == make_error_code(Errc::closed);
       break;
     }
@@ -90,7 +91,7 @@ int show(FoundInstance& found, const TopOptions& options) {
     std::cerr << "rtdata: pid " << found.instance.pid << " has ended" << std::endl;
     return exit_good;
   }
-  std::cerr << "rtdata: pid " << found.instance.pid << ": " << failed << std::endl;
+  print_error(std::cerr, "pid " + std::to_string(found.instance.pid) + ": " + failed, "");
   return exit_other;
 }
 

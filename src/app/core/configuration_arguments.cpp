@@ -17,8 +17,8 @@ namespace {
 std::optional<Duration> span_of(const std::string& option, const std::string& text) {
   const Result<Duration> parsed = parse_duration(text);
   if (parsed && *parsed > Duration{0}) return *parsed;
-  std::cerr << "rtdata: " << option << " " << text << ": "
-            << (parsed ? "it must be longer than 0" : parsed.error().text()) << std::endl;
+  print_error(std::cerr, option + " " + text + ": " + (parsed ? "it must be longer than 0" : parsed.error().text()),
+              "bad-argument");
   return std::nullopt;
 }
 

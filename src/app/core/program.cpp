@@ -5,7 +5,6 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cerrno>
-#include <cstring>
 #include <iostream>
 #include <new>
 #include <streambuf>
@@ -188,6 +187,10 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
   program.set_version_flag("--version", version_text);
   program.footer(examples);
   program.require_subcommand(1);
+  program.failure_message([](const CLI::App* app, const CLI::Error& error) {
+    return detail::with_id(error.what(), "bad-argument") + "\nRun with " + app->get_help_ptr()->get_name() +
+           " for more information.\n";
+  });
 
   // If the first argument is a subcommand, only that one is made, so that `run` starts quickly.
   const std::string_view first = argc > 1 ? argv[1] : "";
@@ -195,7 +198,7 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
                                     [&](const Command& command) { return command.name == first; });
   if (!is_named && !first.empty() && !first.starts_with("-")) {
     const ForPeople wrapped;
-    std::cerr << "rtdata: " << wrong_command(std::string(first)) << std::endl;
+    app::print_error(std::cerr, wrong_command(std::string(first)), "bad-argument");
     return app::exit_other;
   }
   std::vector<std::pair<const CLI::App*, Action>> prepared;
@@ -210,8 +213,9 @@ int parse_and_run(const Registry& registry, int argc, char** argv) {
     const ForPeople wrapped;
     if (!is_named) return program.exit(error) == 0 ? app::exit_good : app::exit_other;
     const std::string name(first);
-    std::cerr << "rtdata " << name << ": " << wrong_argument(*prepared.front().first) << "; `rtdata " << name
-              << " --help` lists what there is" << std::endl;
+    app::print_error(std::cerr,
+                     wrong_argument(*prepared.front().first) + "; `rtdata " + name + " --help` lists what there is",
+                     "bad-argument");
     return app::exit_other;
   } catch (const CLI::ParseError& error) {
     const ForPeople wrapped;
@@ -235,7 +239,7 @@ class StandardOutput final : public std::streambuf {
     std::cout.flush();
     const int failed = errno_.load();
     if (failed != 0 && failed != EPIPE)
-      std::cerr << "rtdata: cannot write the output: " << std::strerror(failed) << std::endl;
+      app::print_error(std::cerr, system_error(failed, "cannot write the output", ""));
     return failed == 0;
   }
 
@@ -277,9 +281,13 @@ int run_program(const Registry& registry, int argc, char** argv) {
     StandardOutput output;
     const int status = parse_and_run(registry, argc, argv);
     return output.is_written() || status != app::exit_good ? status : app::exit_other;
+  } catch (const SetupError& error) {
+    const ForPeople wrapped;
+    app::print_error(std::cerr, error.error());
+    return app::exit_other;
   } catch (const std::exception& error) {
     const ForPeople wrapped;
-    std::cerr << "rtdata: error: " << error.what() << std::endl;
+    app::print_error(std::cerr, error.what(), "system");
     return app::exit_other;
   }
 }

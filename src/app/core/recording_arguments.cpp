@@ -246,7 +246,7 @@ Action prepare_plot(CLI::App& command) {
     }
     for (const char* const name : {"--run", "--from", "--until", "--origin"}) {
       if (command.count(name) == 0) continue;
-      std::cerr << "rtdata: " << name << " works only with recordings: rtdata plot DB" << std::endl;
+      print_error(std::cerr, std::string(name) + " works only with recordings: rtdata plot DB", "bad-argument");
       return exit_other;
     }
     LivePlotOptions live;
@@ -254,8 +254,9 @@ Action prepare_plot(CLI::App& command) {
     if (!options->part.last.empty()) {
       const Result<Duration> window = parse_duration(options->part.last);
       if (!window || *window < std::chrono::seconds{1} || *window > std::chrono::hours{1}) {
-        std::cerr << "rtdata: --last of a running instance is 1 s to 1 h; for more, plot a recording: rtdata plot DB"
-                  << std::endl;
+        print_error(std::cerr,
+                    "--last of a running instance is 1 s to 1 h; for more, plot a recording: rtdata plot DB",
+                    "bad-argument");
         return exit_other;
       }
       live.window = *window;
@@ -313,7 +314,7 @@ std::function<std::optional<int>(const TailOptions&)> add_recorded_tail(CLI::App
     if (words.empty() || !is_recording(words.front())) {
       for (const CLI::Option* option : added) {
         if (option->count() == 0) continue;
-        std::cerr << "rtdata: " << option->get_name() << " works only with recordings: rtdata tail DB" << std::endl;
+        print_error(std::cerr, option->get_name() + " works only with recordings: rtdata tail DB", "bad-argument");
         return exit_other;
       }
       return std::nullopt;
@@ -452,7 +453,7 @@ Action prepare_replay(CLI::App& command) {
     if (!options.is_virtual) {
       double& factor = options.config.speed;
       if (detail::read_number(given->speed, factor) != std::errc{} || !(factor > 0)) {
-        std::cerr << "rtdata: --speed " << given->speed << ": give a number above 0, or max" << std::endl;
+        print_error(std::cerr, "--speed " + given->speed + ": give a number above 0, or max", "bad-argument");
         return exit_other;
       }
     }

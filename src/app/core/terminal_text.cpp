@@ -96,6 +96,12 @@ std::string for_terminal(std::string_view text, std::size_t columns) {
   return columns == 0 ? std::string(text) : wrapped(detail::visible(text, true), columns);
 }
 
+void print_error(std::ostream& to, const std::string& text, std::string_view id) {
+  to << "rtdata: " << detail::with_id(text, id) << std::endl;
+}
+
+void print_error(std::ostream& to, const Error& error) { print_error(to, error.text(), error.id()); }
+
 WrappedOutput::WrappedOutput(std::ostream& stream, int fd)
     : stream_(stream), to_(stream.rdbuf()), columns_(columns_of(fd)), flags_(stream.flags()) {
   if (columns_ == 0) return;

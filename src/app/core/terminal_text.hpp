@@ -7,6 +7,8 @@
 #include <string>
 #include <string_view>
 
+#include "rtdata/data/error.hpp"
+
 namespace rtdata::app {
 
 /// The columns of the terminal of a file descriptor; 80 if unknown; 0: not a terminal.
@@ -24,6 +26,10 @@ std::string printable(std::string_view text);
 /// For a terminal with `columns` columns: writes control characters, except line ends and tabs, as \xHH, and wraps as
 /// above. `columns` 0: no change.
 std::string for_terminal(std::string_view text, std::size_t columns);
+
+/// Prints an error of a command: a line "rtdata: TEXT [ID]". docs/errors.md explains the id.
+void print_error(std::ostream& to, const std::string& text, std::string_view id);
+void print_error(std::ostream& to, const Error& error);
 
 /// While it lives, wraps lines printed to a stream for the terminal of `fd`, if it is one. For readable text, not for
 /// data. Thread: one at a time.

@@ -13,6 +13,7 @@
 #include "app/core/figures.hpp"
 #include "app/core/recording_commands.hpp"
 #include "app/core/table.hpp"
+#include "app/core/terminal_text.hpp"
 #include "rtdata/data/problem.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "rtdata/recording/recording.hpp"
@@ -220,7 +221,7 @@ int compare(const CompareOptions& options, std::ostream& out, std::ostream& err)
   options.show_as == ShowAs::json ? print_json(sides, parts, out) : print(sides, parts, out);
   return 0;
 } catch (const SetupError& error) {
-  err << "rtdata: " << error.what() << "\n";
+  print_error(err, error.error());
   return status_after(error.error());
 }
 

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "app/core/configuration_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/inspect/errors_page.hpp"
 #include "rtdata/data/problem.hpp"
 
@@ -72,8 +73,10 @@ int explain(std::string id) {
     return exit_good;
   }
   const std::string nearest = nearest_name(id, ids);
-  std::cerr << "rtdata explain: no error has the id \"" << id << "\""
-            << (nearest.empty() ? "; `rtdata explain` lists them all" : "; did you mean \"" + nearest + "\"?") << '\n';
+  print_error(std::cerr,
+              "no error has the id \"" + id + "\"" +
+                  (nearest.empty() ? "; `rtdata explain` lists them all" : "; did you mean \"" + nearest + "\"?"),
+              "not-found");
   return exit_other;
 }
 

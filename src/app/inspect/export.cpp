@@ -1,4 +1,5 @@
 #include "rtdata/recording/export.hpp"
+#include "app/core/terminal_text.hpp"
 
 #include <algorithm>
 #include <cctype>
@@ -49,8 +50,10 @@ void find(const Recording& recording, const RowFilter& filter) {
 /// Reports refused rows, which is an error.
 int report_refused(std::ostream& err, const ExportCount& count) {
   if (count.refused == 0) return 0;
-  err << "rtdata: " << count.refused << (count.refused == 1 ? " row was" : " rows were")
-      << " left out, the first: " << count.refusal.text() << "\n";
+  print_error(err,
+              std::to_string(count.refused) + (count.refused == 1 ? " row was" : " rows were") +
+                  " left out, the first: " + count.refusal.text(),
+              count.refusal.id());
   return 1;
 }
 
@@ -179,7 +182,7 @@ int export_recording(const ExportOptions& options, std::ostream& out, std::ostre
   }
   return status;
 } catch (const SetupError& error) {
-  err << "rtdata: " << error.what() << "\n";
+  print_error(err, error.error());
   return status_after(error.error());
 }
 

@@ -1,4 +1,5 @@
 // rtdata graph: draws the machines of a configuration.
+#include "app/core/terminal_text.hpp"
 #include "rtdata/fsm/machine.hpp"
 
 #include <iostream>
@@ -28,11 +29,11 @@ int graph(const Registry& registry, const GraphOptions& options) {
     graphs.push_back(graph_of(settings));
   }
   if (graphs.empty()) {
-    std::cerr << "rtdata: " << options.file
-              << (options.machine.empty()
-                      ? " has no machines"
-                      : " has no machine \"" + options.machine + "\"" + (names.empty() ? "" : "; available: " + names))
-              << std::endl;
+    print_error(std::cerr,
+                options.file + (options.machine.empty() ? " has no machines"
+                                                        : " has no machine \"" + options.machine + "\"" +
+                                                              (names.empty() ? "" : "; available: " + names)),
+                "not-found");
     return exit_other;
   }
   for (const fsm::Graph& one : graphs) {

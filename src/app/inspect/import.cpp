@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "app/core/recording_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/inspect/import_columns.hpp"
 #include "app/inspect/import_head.hpp"
 #include "app/inspect/import_rows.hpp"
@@ -675,7 +676,7 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
   tell_warnings(err, options, found, notation, moved);
   return 0;
 } catch (const SetupError& error) {
-  err << "rtdata: " << error.what() << "\n";
+  print_error(err, error.error());
   return 1;
 }
 

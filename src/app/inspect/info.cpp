@@ -5,6 +5,7 @@
 #include "app/core/amounts.hpp"
 #include "app/core/recording_commands.hpp"
 #include "app/core/table.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/inspect/course.hpp"
 #include "data/listed.hpp"
 #include "data/rounded_time.hpp"
@@ -399,7 +400,7 @@ int info(const InfoOptions& options, std::ostream& out, std::ostream& err) try {
                                   : print(recording, content, options.gaps, out);
   return 0;
 } catch (const SetupError& error) {
-  err << "rtdata: " << error.what() << "\n";
+  print_error(err, error.error());
   return status_after(error.error());
 }
 

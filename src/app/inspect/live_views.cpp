@@ -80,7 +80,7 @@ class Watch {
     cursor.reset();  // before the messages at the end
     if (failed_.empty() && has_ended_) std::cerr << "rtdata: pid " << pid_ << " has ended" << std::endl;
     if (failed_.empty()) return exit_good;
-    std::cerr << "rtdata: pid " << pid_ << ": " << failed_ << std::endl;
+    print_error(std::cerr, "pid " + std::to_string(pid_) + ": " + failed_, "");
     return exit_other;
   }
 
@@ -107,11 +107,11 @@ class Watch {
       if (view_.how_often == HowOften::once && Clock::now() - begun >= view_.once_after) return true;
       const auto line = steps_.receive(most_deaf);
       if (!line) {
-        failed_ = line.error().text();  // closed without a message: it was killed
+        failed_ = line.error().text_with_id();  // closed without a message: it was killed
         return false;
       }
       if (!*line) {
-        if (Clock::now() - last_heard_ > longest_silence) failed_ = instance_does_not_answer().text();
+        if (Clock::now() - last_heard_ > longest_silence) failed_ = instance_does_not_answer().text_with_id();
         continue;
       }
       last_heard_ = Clock::now();
@@ -132,7 +132,7 @@ class Watch {
       return true;
     }
     if (is_subscribed_ || !has_past_) {
-      failed_ = nlohmann::json::parse(line).at("error").get<std::string>();
+      failed_ = detail::with_id(nlohmann::json::parse(line).at("error").get<std::string>(), "refused");
       return false;
     }
     has_past_ = false;  // no recording has it
@@ -156,7 +156,7 @@ int show(const std::string& instance, const View& view) try {
   std::optional<FoundInstance> found = choose_instance(instance, view.command, status);
   return found ? Watch(*found, view).show() : status;
 } catch (const SetupError& error) {
-  std::cerr << "rtdata: " << error.what() << std::endl;
+  print_error(std::cerr, error.error());
   return exit_other;
 }
 

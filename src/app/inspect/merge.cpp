@@ -2,6 +2,7 @@
 #include <ostream>
 
 #include "app/core/recording_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "rtdata/recording/runs.hpp"
 
 namespace rtdata::app {
@@ -9,7 +10,7 @@ namespace rtdata::app {
 int merge(const MergeOptions& options, std::ostream& out, std::ostream& err) {
   const auto merged = rtdata::merge(options.sources, options.database);
   if (!merged) {
-    err << "rtdata: " << merged.error().text() << "\n";
+    print_error(err, merged.error());
     return status_after(merged.error());
   }
   int status = 0;
@@ -19,7 +20,7 @@ int merge(const MergeOptions& options, std::ostream& out, std::ostream& err) {
         << (run.rows == 1 ? " row\n" : " rows\n");
     for (const std::string& copy : run.copies) out << "    " << copy << "\n";
     for (const std::string& difference : run.differences) {
-      err << "rtdata: " << options.database << ", run " << run.run << ": " << difference << "\n";
+      print_error(err, options.database + ", run " + std::to_string(run.run) + ": " + difference, "damaged");
       status = 1;
     }
   }

@@ -3,6 +3,7 @@
 #include <string>
 
 #include "app/core/recording_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/inspect/chosen_fields.hpp"
 #include "app/inspect/names.hpp"
 #include "app/inspect/plot_picture.hpp"
@@ -14,7 +15,7 @@ namespace rtdata::app {
 int plot(const PlotOptions& options, std::ostream& out, std::ostream& err) try {
   auto opened = Recording::open(options.database);
   if (!opened) {
-    err << "rtdata: " << opened.error().text() << "\n";
+    print_error(err, opened.error());
     return 2;
   }
   const Recording& recording = *opened;
@@ -32,7 +33,7 @@ int plot(const PlotOptions& options, std::ostream& out, std::ostream& err) try {
   for (const std::string& line : picture_of(of, style)) out << line << "\n";
   return 0;
 } catch (const SetupError& error) {
-  err << "rtdata: " << error.what() << "\n";
+  print_error(err, error.error());
   return error.error().code == make_error_code(Errc::damaged) ? 2 : 1;
 }
 

@@ -12,6 +12,7 @@
 #include "app/core/amounts.hpp"
 #include "app/core/figures.hpp"
 #include "app/core/recording_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/inspect/recorded_curves.hpp"
 #include "app/inspect/report_page.hpp"
 #include "rtdata/config/format.hpp"
@@ -161,7 +162,7 @@ int report(const ReportOptions& options, std::ostream& out, std::ostream& err) t
   for (const std::string& line : run.lines) out << "  " << line << "\n";
   return 0;
 } catch (const SetupError& error) {
-  err << "rtdata: " << error.what() << "\n";
+  print_error(err, error.error());
   return status_after(error.error());
 }
 

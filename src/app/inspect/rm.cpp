@@ -2,6 +2,7 @@
 #include <ostream>
 
 #include "app/core/recording_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "rtdata/recording/runs.hpp"
 
 namespace rtdata::app {
@@ -18,7 +19,7 @@ int remove_run(const RemoveOptions& options, std::ostream& out, std::ostream& er
         << " does not have\n";
   return 0;
 } catch (const SetupError& error) {
-  err << "rtdata: " << error.what() << "\n";
+  print_error(err, error.error());
   return status_after(error.error());
 }
 

@@ -1,5 +1,6 @@
 // rtdata runs: the runs of a recording, one line each.
 #include "rtdata/recording/runs.hpp"
+#include "app/core/terminal_text.hpp"
 
 #include <algorithm>
 #include <cstdio>
@@ -117,10 +118,10 @@ int runs(const RunsOptions& options, std::ostream& out, std::ostream& err) try {
     print(report, out);
   }
   for (const std::string& problem : report.problems)
-    err << "rtdata: " << options.database << ": not balanced: " << problem << "\n";
+    print_error(err, options.database + ": not balanced: " + problem, "damaged");
   return 0;
 } catch (const SetupError& error) {
-  err << "rtdata: " << error.what() << "\n";
+  print_error(err, error.error());
   return status_after(error.error());
 }
 

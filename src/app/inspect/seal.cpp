@@ -2,6 +2,7 @@
 #include <ostream>
 
 #include "app/core/recording_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "rtdata/recording/runs.hpp"
 
 namespace rtdata::app {
@@ -9,7 +10,7 @@ namespace rtdata::app {
 int seal(const std::string& database, std::ostream& out, std::ostream& err) {
   const auto sealed = rtdata::seal(database);
   if (!sealed) {
-    err << "rtdata: " << sealed.error().text() << "\n";
+    print_error(err, sealed.error());
     return status_after(sealed.error());
   }
   if (sealed->empty()) out << database << ": nothing to seal: no run ended without closing\n";

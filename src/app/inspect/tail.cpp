@@ -25,9 +25,9 @@ constexpr Duration longest_silence = std::chrono::seconds{10};  // an instance s
 /// status.
 int follow(ControlClient& client, pid_t pid, ShowAs show_as) {
   EventPrinter printer(columns_of(STDOUT_FILENO));
-  const auto fail = [&](const std::string& why) {
+  const auto fail = [&](const std::string& why, std::string_view id) {
     std::cout << std::flush;
-    std::cerr << "rtdata: pid " << pid << ": " << why << std::endl;
+    print_error(std::cerr, "pid " + std::to_string(pid) + ": " + why, id);
     return exit_other;
   };
   while (std::cout.good()) {
@@ -36,10 +36,10 @@ int follow(ControlClient& client, pid_t pid, ShowAs show_as) {
       std::cout << std::flush;
       line = client.receive(longest_silence);
     }
-    if (!line) return fail(line.error().text());
-    if (!*line) return fail(instance_does_not_answer().text());
+    if (!line) return fail(line.error().text(), line.error().id());
+    if (!*line) return fail(instance_does_not_answer().text(), instance_does_not_answer().id());
     const std::string& text = **line;
-    if (text.starts_with("{\"error\":")) return fail(Json::parse(text).at("error").get<std::string>());
+    if (text.starts_with("{\"error\":")) return fail(Json::parse(text).at("error").get<std::string>(), "refused");
     if (show_as == ShowAs::json) {
       std::cout << text << '\n';
     } else {

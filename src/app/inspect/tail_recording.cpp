@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "app/core/recording_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/inspect/event_printer.hpp"
 #include "app/inspect/names.hpp"
 #include "app/inspect/recorded_range.hpp"
@@ -267,7 +268,7 @@ void print_newest(const Content& content, const RecordedRange& range, std::size_
 int tail_recording(const RecordedTailOptions& options, std::ostream& out, std::ostream& err) try {
   auto opened = Recording::open(options.database);
   if (!opened) {
-    err << "rtdata: " << opened.error().text() << "\n";
+    print_error(err, opened.error());
     return 2;
   }
   const RecordedRange range = range_of(*opened, options.part, "cannot show");
@@ -280,7 +281,7 @@ int tail_recording(const RecordedTailOptions& options, std::ostream& out, std::o
   }
   return 0;
 } catch (const SetupError& error) {
-  err << "rtdata: " << error.what() << "\n";
+  print_error(err, error.error());
   return error.error().code == make_error_code(Errc::damaged) ? 2 : 1;
 }
 

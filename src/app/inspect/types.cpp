@@ -177,14 +177,15 @@ int types(const Registry& registry, const std::string& name, TypesAs format) {
   for (const PartKind& kind : registry.kinds()) {
     const std::string* why = kind.types.why_left_out(name);
     if (why == nullptr) continue;
-    std::cerr << "rtdata: there is no type \"" << name << "\": " << *why << std::endl;
+    print_error(std::cerr, "there is no type \"" + name + "\": " + *why, "unknown-type");
     return exit_other;
   }
   if (format == TypesAs::text && print_types_for(name, registry)) return exit_good;
   const std::string nearest = nearest_name(name, names);
-  std::cerr << "rtdata: there is no type \"" << name << "\""
-            << (nearest.empty() ? "" : " (did you mean \"" + nearest + "\"?)") << "; `rtdata types` lists all"
-            << std::endl;
+  print_error(std::cerr,
+              "there is no type \"" + name + "\"" + (nearest.empty() ? "" : " (did you mean \"" + nearest + "\"?)") +
+                  "; `rtdata types` lists all",
+              "unknown-type");
   return exit_other;
 }
 

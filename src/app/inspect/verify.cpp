@@ -1,4 +1,5 @@
 #include "rtdata/recording/verify.hpp"
+#include "app/core/terminal_text.hpp"
 
 #include <ostream>
 #include <vector>
@@ -27,7 +28,7 @@ Result<VerifyReport> report_of(const std::string& database) {
 int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err) {
   auto report = report_of(options.database);
   if (!report) {
-    err << "rtdata: " << report.error().text() << "\n";
+    print_error(err, report.error());
     return 2;
   }
   if (options.run) {
@@ -35,7 +36,7 @@ int verify(const VerifyOptions& options, std::ostream& out, std::ostream& err) {
     for (const RunReport& run : report->runs) runs.push_back(run.info);
     const auto wanted = find_run(runs, *options.run, options.database);
     if (!wanted) {
-      err << "rtdata: " << wanted.error().text() << "\n";
+      print_error(err, wanted.error());
       return 1;
     }
     std::erase_if(report->runs, [&](const RunReport& run) { return run.info.run != wanted->run; });

@@ -21,7 +21,7 @@ std::string text_of(const Json& json) { return json.dump(2, ' ', false, Json::er
 bool is_folder_there(const std::string& root) {
   if (root.empty() || ::access((root + "/.").c_str(), R_OK | X_OK) == 0) return true;
   const Error why = system_error(errno, "cannot read the copy of the machine", root);
-  std::cerr << "rtdata: " << why.text() << std::endl;
+  print_error(std::cerr, why);
   return false;
 }
 
@@ -123,7 +123,8 @@ int doctor(const Registry& registry, const DoctorOptions& options) {
   std::vector<Finding> found;
   if (plan && !plan->good()) {
     if (is_text) {
-      std::cerr << plan->report() << "rtdata: " << options.file << " has mistakes; see rtdata check" << std::endl;
+      std::cerr << plan->report();
+      print_error(std::cerr, options.file + " has mistakes; see rtdata check", "bad-configuration");
       return exit_configuration;
     }
     for (const Problem& problem : plan->problems) found.push_back({Severity::fault, options.file, problem.text()});

@@ -36,7 +36,7 @@ class DiskWork {
         : work(std::move(work_)), told(std::move(told_)), is_here(std::move(is_here_)) {}
     void run() noexcept override try { text = work(); } catch (const std::exception& error) {
       using Json = nlohmann::ordered_json;
-      text = Json{{"error", error.what()}}.dump(-1, ' ', false, Json::error_handler_t::replace);
+      text = Json{{"error", detail::reason_of(error)}}.dump(-1, ' ', false, Json::error_handler_t::replace);
     }
     void done(Outcome outcome) override {
       if (*is_here) told(outcome == Outcome::finished ? text : R"({"error":"the disk did not answer in time"})");

@@ -284,7 +284,7 @@ LivePage::LivePage(Loop& loop, Config config, const SystemPlan& plan, Asks asks)
       started->set_value("");
       own.run();
     } catch (const std::exception& error) {  // no memory, no descriptors
-      if (!has_started) started->set_value(error.what());
+      if (!has_started) started->set_value(std::string(detail::reason_of(error)));
     }
     ended->set_value();
   };

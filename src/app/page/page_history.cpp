@@ -335,7 +335,7 @@ std::string page_history(const std::vector<PageRecording>& recordings, std::opti
   told.pop_back();
   return told + ",\"series\":[" + curves + "]}";
 } catch (const std::exception& error) {
-  return error_text(error.what());
+  return error_text(std::string(detail::reason_of(error)));
 }
 
 }  // namespace rtdata::app

@@ -12,6 +12,7 @@
 #include "app/control/past_reader.hpp"
 #include "app/control/status.hpp"
 #include "app/core/recording_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/inspect/recorded_range.hpp"
 #include "app/page/disk_work.hpp"
 #include "app/page/page_history.hpp"
@@ -235,7 +236,7 @@ int view(const Registry& registry, const ViewOptions& options, std::ostream& err
   loop.run();
   return 0;
 } catch (const SetupError& error) {
-  err << "rtdata: " << error.what() << std::endl;
+  print_error(err, error.error());
   return status_after(error.error());
 }
 

@@ -15,6 +15,7 @@
 #include "app/core/calibration_text.hpp"
 #include "app/core/configuration_commands.hpp"
 #include "app/core/replaced_file.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/run/raw_values.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/process/processing.hpp"
@@ -350,20 +351,24 @@ int calibrate(const Registry& registry, const CalibrateOptions& options) {
                 << ConfigItem::of(points).to_json(ConfigItem::Layout::one_line) << std::endl;
   };
   if (!asked) {
-    std::cerr << "rtdata: " << asked.error().text() << "\nrtdata: nothing was written" << std::endl;
+    print_error(std::cerr, asked.error());
+    std::cerr << "rtdata: nothing was written" << std::endl;
     to_copy();
     return exit_other;
   }
   if (points.size() < 2) {
-    std::cerr << "rtdata: nothing was written: a line needs two points, there "
-              << (points.empty() ? "is none" : "is one") << std::endl;
+    print_error(
+        std::cerr,
+        std::string("nothing was written: a line needs two points, there ") + (points.empty() ? "is none" : "is one"),
+        "bad-argument");
     return exit_other;
   }
   session.show_residuals();
   try {
     write_points(registry, plan, sensor, field, points);
   } catch (const SetupError& error) {
-    std::cerr << "rtdata: " << error.what() << "\nrtdata: nothing was written" << std::endl;
+    print_error(std::cerr, error.error());
+    std::cerr << "rtdata: nothing was written" << std::endl;
     to_copy();
     return exit_other;
   }

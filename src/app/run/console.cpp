@@ -75,8 +75,7 @@ void RunConsole::say(LogLevel level, std::string_view object, std::string_view w
   if (!shown) return;
   std::string line = "rtdata: ";
   if (level >= LogLevel::warning) line.append(name_of(level)).append(": ");
-  line.append(object).append(object.empty() ? "" : ": ").append(*shown);
-  if (!error_id.empty()) line.append(" [").append(error_id).append("]");
+  line.append(object).append(object.empty() ? "" : ": ").append(detail::with_id(*shown, error_id));
   if (has_view_) {
     note_ = line;
   } else {
@@ -89,7 +88,8 @@ void RunConsole::tell(const std::string& text) { messages_.write(for_terminal(te
 void RunConsole::report_log_failure() {
   const int failed = log_.counts().last_errno.load();
   if (failed == 0 || std::exchange(is_log_failure_reported_, true)) return;
-  say(LogLevel::warning, "log", system_error(failed, "cannot write the log file", log_.file()).text());
+  const Error error = system_error(failed, "cannot write the log file", log_.file());
+  say(LogLevel::warning, "log", error.text(), error.id());
 }
 
 void RunConsole::open_view() {

@@ -95,19 +95,24 @@ class Forward {
     const auto recordings = sinks != nullptr ? recordings_of(*sinks, *database) : std::vector<std::string>();
     database.reset();
     if (recordings.size() > 1) {
-      std::cerr << "rtdata: sinks of " << options_.file << " go through " << recordings.size() << " recordings,";
-      for (const std::string& name : recordings) std::cerr << " \"" << name << "\"";
-      std::cerr << "; it is not known which of these " << options_.database
-                << " is: none of them has its file name, and its positions fit none or several of them; "
-                   "make a copy of the configuration without the other recordings\n";
+      std::string text = "sinks of " + options_.file + " go through " + std::to_string(recordings.size()) +
+                         " recordings,";
+      for (const std::string& name : recordings) text += " \"" + name + "\"";
+      print_error(std::cerr,
+                  text + "; it is not known which of these " + options_.database +
+                      " is: none of them has its file name, and its positions fit none or several of them; "
+                      "make a copy of the configuration without the other recordings",
+                  "bad-configuration");
       return exit_configuration;
     }
     ConfigItem root;
     if (!recordings.empty()) root = forwarding_configuration(whole.root, recordings, options_.database, senders);
     if (senders.empty()) {
       if (const SystemPlan plan = plan_system(registry, whole); !plan.good()) return refuse(plan);
-      std::cerr << "rtdata: nothing to do: no sink of " << options_.file
-                << " goes through a recording; give one `through`, the name of its recording\n";
+      print_error(std::cerr,
+                  "nothing to do: no sink of " + options_.file +
+                      " goes through a recording; give one `through`, the name of its recording",
+                  "bad-configuration");
       return exit_configuration;
     }
     ConfigDocument document = parse_config(root.to_json(), options_.file);
@@ -130,7 +135,8 @@ class Forward {
     StopSignals signals;
     Runtime runtime(plan.runtime_config());
     runtime.on_log([](const LogRecord& record) {
-      if (record.level >= LogLevel::warning) std::cerr << "rtdata: " << record.object << ": " << record.text << "\n";
+      if (record.level >= LogLevel::warning)
+        print_error(std::cerr, std::string(record.object) + ": " + std::string(record.text), record.error_id);
     });
     Loop loop(runtime, plan.loop_config());
     System system(loop, registry, plan);
@@ -219,7 +225,7 @@ class Forward {
 int forward(const Registry& registry, const ForwardOptions& options) try {
   return Forward(options).run(registry);
 } catch (const SetupError& error) {
-  std::cerr << "rtdata: " << error.what() << std::endl;
+  print_error(std::cerr, error.error());
   return status_after(error.error());
 }
 

@@ -7,6 +7,7 @@
 #include <iostream>
 
 #include "app/core/configuration_commands.hpp"
+#include "app/core/terminal_text.hpp"
 #include "app/run/async_writer.hpp"
 #include "app/run/starter.hpp"
 #include "data/listed.hpp"
@@ -34,7 +35,7 @@ int init(const Registry& registry, const std::string& file) {
     const Error error{Errc::bad_argument, "cannot write the starter file", file,
                       "`rtdata run` reads no configuration with this extension",
                       "choose a name that ends with " + detail::listed(known)};
-    std::cerr << "rtdata: " << error.text() << std::endl;
+    print_error(std::cerr, error);
     return exit_other;
   }
   const std::string text = starter_file(registry, file);
@@ -46,13 +47,13 @@ int init(const Registry& registry, const std::string& file) {
                                      failed == EEXIST ? "choose another name, or move that file away"
                                      : failed == ENOENT && !folder.empty() ? "make the folder first: mkdir -p " + folder
                                                                            : "");
-    std::cerr << "rtdata: " << error.text() << std::endl;
+    print_error(std::cerr, error);
     return exit_other;
   }
   int failed = write_fully(fd, text.data(), text.size());
   if (::close(fd) != 0 && failed == 0) failed = errno;
   if (failed != 0) {
-    std::cerr << "rtdata: " << system_error(failed, "cannot write the starter file", file).text() << std::endl;
+    print_error(std::cerr, system_error(failed, "cannot write the starter file", file));
     ::unlink(file.c_str());
     return exit_other;
   }

@@ -99,7 +99,7 @@ class ValuesOfSensor final : public RawValues {
       : runtime_(alone.runtime_config()), loop_(runtime_, alone.loop_config()) {
     runtime_.on_log([](const LogRecord& record) {
       if (record.level < LogLevel::warning) return;
-      std::cerr << "rtdata: " << printable(std::string(record.object) + ": " + std::string(record.text)) << std::endl;
+      print_error(std::cerr, printable(std::string(record.object) + ": " + std::string(record.text)), record.error_id);
     });
     system_.emplace(loop_, registry, alone);
     const auto part = std::find_if(alone.parts.begin(), alone.parts.end(),
@@ -174,7 +174,7 @@ std::unique_ptr<RawValues> values_of_instance(const std::string& file, const std
     const auto line = client->ask(status_request, answer_limit);
     const Result<Status> status = line ? status_from(*line) : Result<Status>(line.error());
     if (!status) {
-      std::cerr << "rtdata: pid " << one.pid << ": " << status.error().text() << std::endl;
+      print_error(std::cerr, "pid " + std::to_string(one.pid) + ": " + status.error().text(), status.error().id());
       continue;
     }
     std::error_code failed;

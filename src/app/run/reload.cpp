@@ -38,7 +38,7 @@ std::shared_ptr<const Reload::NextPlan> Reload::read_again() const {
       warn_of_losses(next->plan);
     }
   } catch (const std::exception& error) {
-    next->failed = error.what();
+    next->failed = detail::reason_of(error);
   }
   return next;
 }
@@ -59,7 +59,7 @@ void Reload::conclude(Change& change, LogLevel level, const std::string& text, s
 }
 
 void Reload::refuse(Change& change, const std::string& text) {
-  conclude(change, LogLevel::error, "nothing was changed: " + text);
+  conclude(change, LogLevel::error, "nothing was changed: " + text, "refused");
 }
 
 void Reload::add(Change& change, LogLevel level, const std::string& text, std::string_view id) {
@@ -90,7 +90,7 @@ bool Reload::may_be_applied(Change& change) {
   const PlanChange& parts = change.steps->changes();
   if (parts.refused() == 0) return true;
   for (const PartChange& part : parts.all)
-    if (part.fate == Fate::refused) add(change, LogLevel::error, part.text());
+    if (part.fate == Fate::refused) add(change, LogLevel::error, part.text(), "refused");
   return refused("a restart of the program applies the refused changes");
 }
 
@@ -283,7 +283,7 @@ void Reload::go_on(const std::shared_ptr<Change>& change) {
   try {
     is_more = change->steps->step(step_time);
   } catch (const SetupError& error) {
-    failed = error.what();
+    failed = error.error().text();
     id = error.error().id();
   } catch (const std::exception& error) {
     failed = error.what();

@@ -1,5 +1,6 @@
 // rtdata replay: publishes the events of a recording to the sinks of a configuration or the terminal, run by run.
 #include "rtdata/recording/replay.hpp"
+#include "app/core/terminal_text.hpp"
 
 #include <sys/stat.h>
 
@@ -217,8 +218,10 @@ class ReplayRun {
     Runtime runtime(std::move(runtime_config));
     runtime.on_log([&](const LogRecord& record) {
       if (record.level < (options_.is_quiet ? LogLevel::warning : LogLevel::info)) return;
-      std::cerr << "rtdata: " << (record.level >= LogLevel::warning ? std::string(name_of(record.level)) + ": " : "")
-                << record.object << ": " << record.text << std::endl;
+      print_error(std::cerr,
+                  (record.level >= LogLevel::warning ? std::string(name_of(record.level)) + ": " : "") +
+                      std::string(record.object) + ": " + std::string(record.text),
+                  record.error_id);
     });
     runtime.core().clock_log.repeat_run();
     Loop loop(runtime, {.name = "replay"});
@@ -283,7 +286,7 @@ int replay(const Registry& registry, const ReplayOptions& options) {
   try {
     return ReplayRun(registry, options).execute();
   } catch (const SetupError& error) {
-    std::cerr << "rtdata: " << error.what() << std::endl;
+    print_error(std::cerr, error.error());
     return status_after(error.error());
   }
 }

@@ -72,9 +72,9 @@ class Run {
     try {
       status = plan.good() ? run(plan) : refuse(plan);
     } catch (const SetupError& error) {
-      console_.say(LogLevel::error, "program", error.what(), error.error().id());
+      console_.say(LogLevel::error, "program", error.error().text(), error.error().id());
     } catch (const std::exception& error) {
-      console_.say(LogLevel::error, "program", error.what());
+      console_.say(LogLevel::error, "program", error.what(), "system");
     }
     log_.write(LogLevel::info, "program", "ended with status " + std::to_string(status));
     console_.wait_until_written();
@@ -323,7 +323,7 @@ class Run {
       control.emplace(loop, answer, [&status](std::uint64_t client) { status.forget(client); });
       log_.write(LogLevel::debug, "program", "control socket " + control->path());
     } catch (const SetupError& error) {
-      console_.say(LogLevel::warning, "program", error.what(), error.error().id());
+      console_.say(LogLevel::warning, "program", error.error().text(), error.error().id());
     }
   }
 

@@ -223,7 +223,7 @@ std::string ConfigDocument::report(const Problems& others, std::string_view pref
   Excerpts excerpts(text);
   std::string report;
   for (const Problem& problem : sorted) {
-    report.append(prefix).append(problem.text()).append("\n");
+    report.append(prefix).append(problem.text_with_id()).append("\n");
     if (problem.place.file == file && problem.place.line != 0) report += excerpts.at(problem.place);
   }
   return report;

@@ -284,7 +284,7 @@ void PlanApplication::make_one() {
   } catch (const SetupError& error) {
     // Does not wait for a hanging tier and does not undo its work.
     if (!old_ && error.error().code != Errc::not_turning) return go_back(std::current_exception());
-    note_missing(planned.next->object(), error.what());
+    note_missing(planned.next->object(), error.error().text());
   } catch (...) {
     if (!old_) return go_back(std::current_exception());
     note_missing(planned.next->object(), "it cannot be made");
@@ -400,7 +400,7 @@ void PlanApplication::settle() {
       planned.next->as_written(part.object);
     } catch (const SetupError& error) {  // its tier does not turn
       system_.loop_.runtime().core().log(LogLevel::warning, planned.next->object(),
-                                         std::string("it is not as configured: ") + error.what(), error.error().id());
+                                         "it is not as configured: " + error.error().text(), error.error().id());
     }
   }
   // The parts are closed in reverse order.

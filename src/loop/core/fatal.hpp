@@ -10,7 +10,7 @@ namespace rtdata::detail {
 
 /// Writes the error to standard error and aborts, because continuing would use destroyed objects.
 [[noreturn, gnu::cold]] inline void end_program(const Error& error) noexcept {
-  std::fprintf(stderr, "rtdata: fatal: %s\n", error.text().c_str());
+  std::fprintf(stderr, "rtdata: fatal: %s\n", error.text_with_id().c_str());
   std::abort();
 }
 

@@ -141,9 +141,10 @@ bool LoopCore::is_in_user_code() const noexcept {
   return is_running_ || is_in_callback() || runtime.calling > 0 || is_run_by_another_thread();
 }
 
-void LoopCore::report_exception(std::string_view name, const char* what) noexcept {
+void LoopCore::report_exception(std::string_view name, std::string_view what) noexcept {
   try {
-    runtime.report(this, name, {Errc::handler_threw, "a callback threw", "", what, "the callback is still called"});
+    runtime.report(this, name,
+                   {Errc::handler_threw, "a callback threw", "", std::string(what), "the callback is still called"});
   } catch (...) {  // the report failed: out of memory, or its handler threw; there is no other way to report
   }
 }

@@ -183,7 +183,7 @@ class LoopCore {
     try {
       function();
     } catch (const std::exception& e) {
-      report_exception(name, e.what());
+      report_exception(name, reason_of(e));
     } catch (...) {
       report_exception(name, "an exception that is not a std::exception");
     }
@@ -198,7 +198,7 @@ class LoopCore {
     });
     return has_ended;
   }
-  void report_exception(std::string_view name, const char* what) noexcept;
+  void report_exception(std::string_view name, std::string_view what) noexcept;
   /// Brackets user code that is called outside deadlines and deliveries: meanwhile the loop must not be run or
   /// destroyed.
   class Calling {

@@ -112,7 +112,7 @@ void Schedule::begin_waiting() noexcept {
       place(*member);
     } catch (const std::bad_alloc&) {  // the member waits for the next turn
     } catch (const std::exception& e) {
-      report(*member, e.what());
+      report(*member, reason_of(e));
     } catch (...) {
       report(*member, "an exception that is not a std::exception");
     }
@@ -124,10 +124,11 @@ void Schedule::begin_waiting() noexcept {
   if (!waiting_.empty()) loop_.runtime.reports.flush_at(later(loop_.now(), try_again_after));
 }
 
-void Schedule::report(const RateMember& member, const char* why) noexcept try {
-  loop_.runtime.keep_report(&loop_, member.blame_name(),
-                            {Errc::handler_threw, "its schedule could not begin", "loop " + loop_.config.name, why,
-                             member.group_ == nullptr ? "the loop tries it again in its next turn" : ""});
+void Schedule::report(const RateMember& member, std::string_view why) noexcept try {
+  loop_.runtime.keep_report(
+      &loop_, member.blame_name(),
+      {Errc::handler_threw, "its schedule could not begin", "loop " + loop_.config.name, std::string(why),
+       member.group_ == nullptr ? "the loop tries it again in its next turn" : ""});
 } catch (...) {  // out of memory
 }
 

@@ -120,7 +120,7 @@ class Schedule {
   friend class RateGroup;
   void place(RateMember& member);
   void discard(RateGroup& group) noexcept;
-  void report(const RateMember& member, const char* why) noexcept;
+  void report(const RateMember& member, std::string_view why) noexcept;
   LoopCore& loop_;
   RateMember::Members waiting_;
   RateGroups groups_;

@@ -58,9 +58,10 @@ bool SubscriptionNode::report_times(CallbackStatus& status) const {
   return true;
 }
 
-void SubscriptionNode::report_exception(const char* what) noexcept {
+void SubscriptionNode::report_exception(std::string_view what) noexcept {
   try {
-    runtime_->report(loop(), name, {Errc::handler_threw, "a handler threw", "", what, "the handler is still called"});
+    runtime_->report(
+        loop(), name, {Errc::handler_threw, "a handler threw", "", std::string(what), "the handler is still called"});
   } catch (...) {  // the report itself failed
   }
 }

@@ -75,8 +75,8 @@ void Reports::write(const Joined<LogLine>& joined) noexcept try {
   } else if (level < LogLevel::warning) {
     return;
   }
-  std::fprintf(stderr, "rtdata: %s: %s: %s%s\n", level == LogLevel::error ? "error" : "warning", object.c_str(),
-               text.c_str(), note);
+  std::fprintf(stderr, "rtdata: %s: %s: %s\n", level == LogLevel::error ? "error" : "warning", object.c_str(),
+               with_id(text + note, error_id).c_str());
 } catch (...) {
   write_out_of_memory();
 }

@@ -139,7 +139,7 @@ void TierCore::start_again() noexcept {
   try {
     start();
   } catch (const SetupError& error) {
-    main.core().runtime.log(LogLevel::error, "tier " + config.name, error.what(), error.error().id());
+    main.core().runtime.log(LogLevel::error, "tier " + config.name, error.error().text(), error.error().id());
   }
 }
 

@@ -255,7 +255,7 @@ Error SensorNode::thrown(const char* what) const noexcept {
     try {
       throw;
     } catch (const std::exception& e) {
-      return {Errc::handler_threw, what, object_name(), e.what(), ""};
+      return {Errc::handler_threw, what, object_name(), std::string(reason_of(e)), ""};
     } catch (...) {
       return {Errc::handler_threw, what, object_name(), "an exception that is not a std::exception", ""};
     }

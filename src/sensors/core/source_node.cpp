@@ -142,6 +142,7 @@ void SourceNode::set_health(Health health, const Error* reason) {
   if (health == health_) return;
   Call call(*this);  // the handler may close this
   LoopCore& on = *loop();
+  const std::string_view id = reason != nullptr ? reason->id() : "";
   health_ = health;
   if (health == Health::ok && on_demand_ != nullptr) on_demand_->reason.clear();
   RuntimeCore& runtime = on.runtime;
@@ -150,7 +151,7 @@ void SourceNode::set_health(Health health, const Error* reason) {
     if (health == Health::ok) {
       runtime.log(LogLevel::info, object_name(), "ok again");
     } else if (health == Health::faulted) {
-      runtime.log(LogLevel::warning, object_name(), "faulted: " + std::string(this->reason()));
+      runtime.log(LogLevel::warning, object_name(), "faulted: " + std::string(this->reason()), id);
     }
   });
 }

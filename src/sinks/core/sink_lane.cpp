@@ -137,7 +137,7 @@ Result<void> SinkQueue::call_writer(Call&& call) {
     } catch (const std::bad_alloc&) {
       throw;
     } catch (const std::exception& e) {
-      result = Error{Errc::handler_threw, "the writer threw", "", e.what(), ""};
+      result = Error{Errc::handler_threw, "the writer threw", "", std::string(reason_of(e)), ""};
     } catch (...) {
       result = Error{Errc::handler_threw, "the writer threw", "", "an exception that is not a std::exception", ""};
     }

@@ -99,8 +99,9 @@ void SinkNode::report_run() noexcept {
 
 Result<void> SinkNode::on_topic(TopicCore& topic) {
   if (is_closing() || is_fed()) return {};
-  const auto threw = [&](const char* what) {
-    return Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, what, "this topic is not recorded"};
+  const auto threw = [&](std::string_view what) {
+    return Error{Errc::handler_threw, "the writer threw", "topic " + topic.name, std::string(what),
+                 "this topic is not recorded"};
   };
   Result<void> taken;
   try {
@@ -108,7 +109,7 @@ Result<void> SinkNode::on_topic(TopicCore& topic) {
     if (!wants(topic.name)) account_.follow_new(topic, *this);
     if (account_.is_follow_due()) follow_.start(Duration{0});
   } catch (const std::exception& e) {
-    taken = threw(e.what());
+    taken = threw(reason_of(e));
   } catch (...) {
     taken = threw("an exception that is not a std::exception");
   }

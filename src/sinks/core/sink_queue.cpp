@@ -85,7 +85,8 @@ void SinkQueue::note_set_up_error(const char* call) noexcept {
     try {
       throw;
     } catch (const std::exception& e) {
-      set_up_error_ = {Errc::handler_threw, "the writer threw", call, e.what(), "the sink goes on without it"};
+      set_up_error_ = {Errc::handler_threw, "the writer threw", call, std::string(reason_of(e)),
+                       "the sink goes on without it"};
     } catch (...) {
       set_up_error_ = {Errc::handler_threw, "the writer threw", call, what, "the sink goes on without it"};
     }

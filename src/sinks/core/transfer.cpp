@@ -79,12 +79,14 @@ Transfer::Transfer(LoopCore& loop, Sender& sender, const SinkConfig& config, Own
 
 template <class Call>
 std::optional<Error> Transfer::call_sender(const char* name, Call&& call) noexcept {
-  const auto threw = [name](const char* why) { return Error{Errc::handler_threw, "the sender threw", name, why, ""}; };
+  const auto threw = [name](std::string_view why) {
+    return Error{Errc::handler_threw, "the sender threw", name, std::string(why), ""};
+  };
   try {
     try {
       call();
     } catch (const std::exception& e) {
-      return threw(e.what());
+      return threw(reason_of(e));
     } catch (...) {
       return threw("an exception that is not a std::exception");
     }

@@ -91,7 +91,7 @@ class SubscriptionNode : public Node {
 
   const std::string& pattern() const noexcept { return pattern_; }
   SubscriptionCounts counts() const noexcept;
-  void report_exception(const char* what) noexcept;
+  void report_exception(std::string_view what) noexcept;
   bool report_times(CallbackStatus& status) const override;
   std::string callback_name() const override { return name; }
 
@@ -114,7 +114,7 @@ class SubscriptionNode : public Node {
       try {
         function(slot);
       } catch (const std::exception& e) {
-        report_exception(e.what());
+        report_exception(reason_of(e));
       } catch (...) {
         report_exception("an exception that is not a std::exception");
       }
