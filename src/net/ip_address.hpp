@@ -10,7 +10,7 @@
 #include <optional>
 #include <string>
 
-#include "rtdata/data/error.hpp"
+#include "data/setting_mistake.hpp"
 
 namespace rtdata::detail {
 
@@ -49,22 +49,15 @@ inline std::optional<IpAddress> ip_address(const std::string& text, std::uint16_
   return address;
 }
 
-/// A setting of an address that cannot work.
-struct AddressMistake {
-  const char* key;
-  std::string why;
-};
 /// `key`: of the address of this machine. `from`: of the only sender; empty: all.
-inline std::optional<AddressMistake> mistake_in_addresses(const char* key, const std::string& own,
-                                                          const std::string& from) {
+inline SettingMistake mistake_in_addresses(const char* key, const std::string& own, const std::string& from) {
   const auto address = ip_address(own, 0);
-  if (!address) return AddressMistake{key, "\"" + own + "\" is no address of IP, such as 0.0.0.0"};
-  if (from.empty()) return std::nullopt;
+  if (!address) return {key, "\"" + own + "\" is no address of IP, such as 0.0.0.0"};
+  if (from.empty()) return {};
   const auto sender = ip_address(from, 0);
-  if (!sender) return AddressMistake{"from", "\"" + from + "\" is no address of IP, such as 192.168.1.7"};
-  if (sender->is_v6() != address->is_v6())
-    return AddressMistake{"from", "it is of another kind than `" + std::string(key) + "`"};
-  return std::nullopt;
+  if (!sender) return {"from", "\"" + from + "\" is no address of IP, such as 192.168.1.7"};
+  if (sender->is_v6() != address->is_v6()) return {"from", "it is of another kind than `" + std::string(key) + "`"};
+  return {};
 }
 
 }  // namespace rtdata::detail

@@ -10,6 +10,7 @@
 #include <string_view>
 #include <utility>
 
+#include "data/setting_mistake.hpp"
 #include "io/child_process.hpp"
 #include "loop/events/allowance.hpp"
 #include "rtdata/data/config_item.hpp"
@@ -183,14 +184,9 @@ class CommandNode final : public LineNode {
 void check_config(const CommandConfig& config, const ConfigItem& item, Problems& problems) {
   const bool has_nul = std::any_of(config.run.begin(), config.run.end(),
                                    [](const std::string& word) { return word.find('\0') != std::string::npos; });
-  if (has_nul)
-    problems.add((item.find("run") != nullptr ? *item.find("run") : item)
-                     .problem("bad-value", "a word has a byte 0, which ends it; leave it out"));
-  if (config.run.empty() || config.run.front().empty()) {
-    const ConfigItem* at = item.find("run");
-    problems.add(
-        (at != nullptr ? *at : item).problem("bad-value", "it names no program; such as [\"python3\", \"hx711.py\"]"));
-  }
+  if (has_nul) detail::add_mistake({"run", "a word has a byte 0, which ends it", "leave it out"}, item, problems);
+  if (config.run.empty() || config.run.front().empty())
+    detail::add_mistake({"run", "it names no program", "such as [\"python3\", \"hx711.py\"]"}, item, problems);
   check_config(config.lines, item, problems);
 }
 
