@@ -99,7 +99,7 @@ struct PidConfig {
 ///   - The derivative is that of the measured value, so that a change of the set point gives it no kick, behind a low
 ///     pass of first order with the time constant `derivative_filter`.
 ///   - Anti-windup: while the output is at a limit, the integral takes in nothing that would push it further.
-///   - Bumpless, where there is an integral (`ki` is not 0): `set_gains` and `change` change nothing at that moment;
+///   - Bumpless, where there is an integral (`ki` is not 0): `change` changes nothing at that moment;
 ///     `follow` says what the actuator really has (by hand, at its safe value), and the first `update` after it goes on
 ///     from there. The integral takes up the difference. A controller without one would keep that difference for ever:
 ///     its output is always what the formula says.
@@ -159,14 +159,6 @@ class Pid {
   double setpoint() const noexcept { return config_.setpoint; }
   /// Takes effect at the next update, without smoothing, so that the proportional part can follow a ramp or a profile.
   void set_setpoint(double setpoint) noexcept { config_.setpoint = setpoint; }
-  /// Takes effect at the next update, without a jump of the output.
-  void set_gains(double kp, double ki, double kd) noexcept {
-    Config next = config_;
-    next.kp = kp;
-    next.ki = ki;
-    next.kd = kd;
-    change(next);
-  }
   /// Changes any settings, including the set point, at the next update, without a jump of the output. An output at a
   /// limit leaves it as soon as the formula says so: the integral does not store the difference there.
   void change(const Config& next) noexcept {
