@@ -229,18 +229,4 @@ std::string csv_header(const Description& description) {
   return row += '\n';
 }
 
-std::string csv_header_with_units(const Description& description) {
-  std::string row = "time [ns],origin,sequence";
-  for (const Leaf& leaf : description.leaves()) {
-    append_cell(row += ',', leaf.unit.empty() ? leaf.path : leaf.path + " [" + leaf.unit + "]");
-  }
-  return row += '\n';
-}
-
-std::string csv_units(const Description& description) {
-  std::string row = "ns,,";
-  for (const Leaf& leaf : description.leaves()) append_cell(row += ',', leaf.unit);
-  return row += '\n';
-}
-
 }  // namespace rtdata

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "data/setting_mistake.hpp"
 #include "fsm/configured.hpp"
 #include "process/expression_fields.hpp"
 #include "rtdata/loop/topic.hpp"
@@ -9,15 +10,10 @@
 namespace rtdata::fsm {
 namespace {
 
-/// Element `index` of `list`; if it is missing, the list; if that is missing, `item`.
-const ConfigItem& element_of(const ConfigItem& item, std::string_view list, std::size_t index) {
-  const ConfigItem* all = item.find(list);
-  const ConfigItem* one = all != nullptr && all->is_array() ? all->find(index) : nullptr;
-  return one != nullptr ? *one : all != nullptr ? *all : item;
-}
-const ConfigItem& child_or(const ConfigItem& item, std::string_view key) {
-  const ConfigItem* child = item.find(key);
-  return child != nullptr ? *child : item;
+using rtdata::detail::item_of;
+
+const ConfigItem& element_of(const ConfigItem& item, const std::string& list, std::size_t index) {
+  return item_of(item, list + "[" + std::to_string(index) + "]");
 }
 
 /// Of a text without mistakes.
@@ -62,10 +58,10 @@ class Checker {
   }
   void check_states() {
     if (settings_.states.empty())
-      return add(child_or(item_, "states"), "bad-value", "a machine needs at least one state");
+      return add(item_of(item_, "states"), "bad-value", "a machine needs at least one state");
     for (std::size_t i = 0; i < settings_.states.size(); ++i) {
       const std::string& name = settings_.states[i].name;
-      const ConfigItem& at = child_or(element_of(item_, "states", i), "name");
+      const ConfigItem& at = item_of(element_of(item_, "states", i), "name");
       if (name.size() > max_name)
         add(at, "bad-name", "the name of a state can have at most " + std::to_string(max_name) + " bytes");
       if (const std::string why = why_no_name(name); !why.empty()) add(at, "bad-name", why);
@@ -73,7 +69,7 @@ class Checker {
         add(at, "duplicate-name", "there is already a state \"" + name + "\"");
       names_.push_back(name);
     }
-    check_known(settings_.start, child_or(item_, "start"));
+    check_known(settings_.start, item_of(item_, "start"));
   }
   /// Why expressions cannot use the state's name: it would mean another value.
   std::string why_no_name(const std::string& state) const {
@@ -94,21 +90,21 @@ class Checker {
     const TransitionSettings& transition = settings_.transitions[index];
     const ConfigItem& at = element_of(item_, "transitions", index);
     if (!names_.empty()) {
-      check_known(transition.from, child_or(at, "from"));
-      check_known(transition.to, child_or(at, "to"));
+      check_known(transition.from, item_of(at, "from"));
+      check_known(transition.to, item_of(at, "to"));
     }
     if (transition.event.size() > max_name) {
-      add(child_or(at, "event"), "bad-name",
+      add(item_of(at, "event"), "bad-name",
           "the name of an event can have at most " + std::to_string(max_name) + " bytes");
     }
     if (transition.hold > Duration{0} && transition.when.empty())
-      add(child_or(at, "for"), "bad-value",
+      add(item_of(at, "for"), "bad-value",
           "`for` needs a `when`, which must be true for this long: add `when`, or use `after`");
     if (transition.hold > Duration{0} && !transition.event.empty()) {
-      add(child_or(at, "for"), "bad-value",
+      add(item_of(at, "for"), "bad-value",
           "with `event`, the condition is tried only once, when the event comes: remove `for` or `event`");
     }
-    if (!transition.when.empty()) return check_condition(transition, child_or(at, "when"));
+    if (!transition.when.empty()) return check_condition(transition, item_of(at, "when"));
     if (settings_.inputs.empty() && transition.event.empty() && transition.after == Duration{0})
       add(at, "bad-value",
           "this transition can never be taken, because the machine has no `inputs`: add `event` or `after`");
@@ -131,7 +127,7 @@ class Checker {
     for (const GraphFault& fault : find_faults(graph_of(settings_))) {
       const bool is_of_state = fault.state != Graph::none;
       if (fault.edge == Graph::none && !is_of_state) continue;  // no start: already reported
-      const ConfigItem& at = is_of_state ? child_or(element_of(item_, "states", fault.state), "name")
+      const ConfigItem& at = is_of_state ? item_of(element_of(item_, "states", fault.state), "name")
                                          : element_of(item_, "transitions", fault.edge);
       add(at, is_of_state ? "bad-state" : "bad-transition", fault.text);
     }
@@ -166,7 +162,7 @@ void check_machine_names(const MachineSettings& settings,
   for (std::size_t i = 0; i < settings.transitions.size(); ++i) {
     const std::string& when = settings.transitions[i].when;
     if (when.empty()) continue;
-    const ConfigItem& at = child_or(element_of(item, "transitions", i), "when");
+    const ConfigItem& at = item_of(element_of(item, "transitions", i), "when");
     rtdata::detail::check_field_names(when, settings.inputs, payload_of, at, problems);
     const std::optional<std::string> flag = flag_named(when);
     if (!flag || is_a_condition(when)) continue;

@@ -34,12 +34,8 @@ namespace {
 constexpr const char* cannot_ask = "cannot read the device";
 constexpr unsigned last_unit = 255;
 
-/// Why a bus cannot be made from it; empty: it can.
-struct Mistake {
-  const char* key = "";
-  std::string why = {};
-};
-Mistake mistake_in(const ModbusConfig& config) {
+/// Why a bus cannot be made from it.
+detail::SettingMistake mistake_in(const ModbusConfig& config) {
   if (config.device.empty() && config.host.empty())
     return {"device", "there is neither a `device` (RTU) nor a `host` (TCP); set one of them"};
   if (!config.device.empty() && !config.host.empty())
@@ -77,10 +73,7 @@ constexpr auto take_nothing = [](const std::uint8_t*) {};
 void check_config(const ModbusConfig& config, const ConfigItem& item, Problems& problems) {
   if (!detail::add_not_installed(detail::libmodbus.load(), item, problems)) return;
   check_config(config.serial, item, problems);
-  const Mistake mistake = mistake_in(config);
-  if (mistake.why.empty()) return;
-  const ConfigItem* at = item.find(mistake.key);
-  problems.add((at != nullptr ? *at : item).problem("bad-value", mistake.why));
+  detail::add_mistake(mistake_in(config), item, problems);
 }
 
 /// A function code and its data.
@@ -357,7 +350,7 @@ ModbusBus::ModbusBus(ModbusConfig config)
 
 ModbusBus::ModbusBus(std::string name, ModbusConfig config) : Bus(name, config.timeout) {
   detail::libmodbus.load().or_throw();
-  if (const Mistake mistake = mistake_in(config); !mistake.why.empty())
+  if (const auto mistake = mistake_in(config))
     throw SetupError({Errc::bad_argument, "cannot use this bus", "bus " + name, mistake.why, ""});
   if (const auto flags = detail::control_flags(config.serial); !flags) throw SetupError(flags.error());
   auto line = config.device.empty() ? nullptr : make_kernel_serial(config.device, config.serial);

@@ -23,7 +23,7 @@ constexpr const char* keys_of_a_port = "`device`, `host` and `run`";
 
 std::shared_ptr<SerialTransport> transport_of(const SerialPortConfig& config) {
   if (const auto mistake = detail::mistake_in_place(config, keys_of_a_port))
-    throw SetupError({Errc::bad_argument, "cannot use this serial line", mistake->key, mistake->why, mistake->advice});
+    throw mistake.error("cannot use this serial line");
   if (!config.run.empty()) return detail::make_program_line(config.run);
   if (config.host.empty()) return make_kernel_serial(config.device, config.serial);
   return make_tcp_line(config.host, config.port, config.answer_timeout);
@@ -40,32 +40,28 @@ std::span<const std::uint8_t> bytes_of(std::string_view text) {
 
 }  // namespace
 
-std::optional<detail::PlaceMistake> detail::mistake_in_place(const SerialPortConfig& config, const char* keys) {
+detail::SettingMistake detail::mistake_in_place(const SerialPortConfig& config, const char* keys) {
   const int places = !config.device.empty() + !config.host.empty() + !config.run.empty();
   const char* const other = config.host.empty() ? "run" : "host";
-  if (places == 0) return PlaceMistake{"device", "one of " + std::string(keys) + " is needed", "set one of them"};
-  if (places > 1) return PlaceMistake{other, "only one of " + std::string(keys) + " is possible", "keep one of them"};
-  if (!config.host.empty() && config.port == 0)
-    return PlaceMistake{"port", "there is no `port`", "set it, such as 5025 for SCPI"};
-  if (config.host.empty() && config.port != 0) return PlaceMistake{"port", "it works only with `host`", "remove it"};
+  if (places == 0) return {"device", "one of " + std::string(keys) + " is needed", "set one of them"};
+  if (places > 1) return {other, "only one of " + std::string(keys) + " is possible", "keep one of them"};
+  if (!config.host.empty() && config.port == 0) return {"port", "there is no `port`", "set it, such as 5025 for SCPI"};
+  if (config.host.empty() && config.port != 0) return {"port", "it works only with `host`", "remove it"};
   if (!config.run.empty() && config.run.front().empty())
-    return PlaceMistake{"run", "there is no program", "name it as the first word"};
+    return {"run", "there is no program", "name it as the first word"};
   const SerialSettings& serial = config.serial;
   if (config.device.empty() && (serial.dtr || serial.rts || serial.hangup || serial.rs485))
-    return PlaceMistake{other, "`dtr`, `rts`, `hangup` and `rs485` work only with a serial `device`", "remove them"};
-  return std::nullopt;
+    return {other, "`dtr`, `rts`, `hangup` and `rs485` work only with a serial `device`", "remove them"};
+  return {};
 }
 
 void detail::check_place(const SerialPortConfig& config, const char* keys, const ConfigItem& item, Problems& problems) {
-  const auto mistake = mistake_in_place(config, keys);
+  const SettingMistake mistake = mistake_in_place(config, keys);
   if (!mistake && config.device.empty())
     for (const char* const key : {"baud_rate", "character_size", "parity", "stop_bits"})
       if (const ConfigItem* const at = item.find(key))
         problems.add(at->problem("bad-value", "it works only with a serial `device`: remove it"));
-  if (!mistake) return;
-  const ConfigItem* const at = item.find(mistake->key);
-  problems.add((at != nullptr ? *at : item)
-                   .problem(at != nullptr ? "bad-value" : "missing-key", mistake->why + "; " + mistake->advice));
+  add_mistake(mistake, item, problems, "missing-key");
 }
 
 void check_config(const SerialSettings& settings, const ConfigItem& item, Problems& problems) {

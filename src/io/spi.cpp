@@ -3,6 +3,7 @@
 #include <array>
 #include <cerrno>
 
+#include "data/setting_mistake.hpp"
 #include "io/enabling.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/detail/loop/lane.hpp"
@@ -12,8 +13,7 @@ namespace rtdata {
 void check_config(const SpiConfig& config, const ConfigItem& item, Problems& problems) {
   const std::size_t dot = config.device.rfind('.');
   if (!config.device.starts_with("/dev/spidev") || dot == std::string::npos) return;
-  const ConfigItem* device = item.find("device");
-  problems.add((device != nullptr ? *device : item)
+  problems.add(detail::item_of(item, "device")
                    .problem("bad-value",
                             "this is a chip select, not a controller: write \"" + config.device.substr(0, dot) +
                                 "\" here, and \"chip_select\": " + config.device.substr(dot + 1) + " to the sensor"));

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "data/setting_mistake.hpp"
 #include "rtdata/io/serial.hpp"
 
 namespace rtdata::detail {
@@ -17,14 +18,8 @@ namespace rtdata::detail {
 /// descriptor that does not block.
 Result<int> connect_to(const std::string& host, std::uint16_t port, Duration limit);
 
-/// A setting of a device's place that cannot work.
-struct PlaceMistake {
-  const char* key;
-  std::string why;
-  const char* advice;
-};
 /// Checks `device`, `host`, `port` and `run`. `keys`: those that exist, for messages.
-std::optional<PlaceMistake> mistake_in_place(const SerialPortConfig& config, const char* keys);
+SettingMistake mistake_in_place(const SerialPortConfig& config, const char* keys);
 /// Reports it.
 void check_place(const SerialPortConfig& config, const char* keys, const ConfigItem& item, Problems& problems);
 

@@ -8,8 +8,7 @@
 #include "data/lower_case.hpp"
 #include "data/no_memory.hpp"
 #include "net/libcurl.hpp"
-#include "rtdata/data/config_item.hpp"
-#include "rtdata/data/problem.hpp"
+#include "net/tls_mistakes.hpp"
 
 namespace rtdata {
 namespace detail {
@@ -92,11 +91,9 @@ Result<HttpUrl> parse_http_url(const std::string& text) {
   return parsed;
 }
 
-std::vector<HttpMistake> mistakes_of(const HttpPeer& config) {
-  std::vector<HttpMistake> mistakes;
-  const auto add = [&](std::string key, std::string message) {
-    mistakes.push_back({std::move(key), std::move(message)});
-  };
+std::vector<SettingMistake> mistakes_of(const HttpPeer& config) {
+  std::vector<SettingMistake> mistakes = mistakes_of(config.tls);
+  const auto add = [&](const char* key, std::string why) { mistakes.push_back({key, std::move(why)}); };
   const auto url = parse_http_url(config.url);
   if (!url) add("url", url.error().why);
   if (url && url->has_login)
@@ -130,19 +127,10 @@ std::vector<HttpMistake> mistakes_of(const HttpPeer& config) {
   } else if (!config.proxy_user.empty() || !config.proxy_password.empty()) {
     add(config.proxy_user.empty() ? "proxy_password" : "proxy_user", "there is no `proxy`");
   }
-  for (const TlsMistake& mistake : rtdata::mistakes_of(config.tls)) add("tls." + mistake.key, mistake.message);
   if (url && !url->is_encrypted() && config.proxy.rfind("https", 0) != 0 &&
       (!config.tls.ca_file.empty() || !config.tls.certificate.empty()))
     add("tls", "the URL begins with http://, which is not encrypted: write https://, or remove `tls`");
   return mistakes;
-}
-
-void add_mistakes(const std::vector<HttpMistake>& mistakes, const ConfigItem& item, Problems& problems) {
-  for (const HttpMistake& mistake : mistakes) {
-    const ConfigItem* at = item.find(mistake.key);
-    if (at == nullptr) at = item.find(mistake.key.substr(0, mistake.key.find('.')));
-    problems.add((at != nullptr ? *at : item).problem("bad-value", mistake.message));
-  }
 }
 
 }  // namespace detail

@@ -5,13 +5,11 @@
 #include <string>
 #include <vector>
 
+#include "data/setting_mistake.hpp"
 #include "rtdata/data/error.hpp"
 #include "rtdata/net/http.hpp"
 
 namespace rtdata {
-
-class ConfigItem;
-class Problems;
 
 namespace detail {
 
@@ -33,14 +31,8 @@ Result<void> load_curl();
 /// Errors: bad_argument, with the reason in `why`; not-found (libcurl).
 Result<HttpUrl> parse_http_url(const std::string& text);
 
-struct HttpMistake {
-  std::string key;  // "url", "tls.key"
-  std::string message;
-};
-std::vector<HttpMistake> mistakes_of(const HttpPeer& server);
+std::vector<SettingMistake> mistakes_of(const HttpPeer& server);
 bool is_one_line(const std::string& text);
-/// Each at its key.
-void add_mistakes(const std::vector<HttpMistake>& mistakes, const ConfigItem& item, Problems& problems);
 
 }  // namespace detail
 }  // namespace rtdata

@@ -10,7 +10,7 @@
 #include <optional>
 #include <string>
 
-#include "rtdata/data/error.hpp"
+#include "data/setting_mistake.hpp"
 
 namespace rtdata::detail {
 
@@ -49,22 +49,16 @@ inline std::optional<IpAddress> ip_address(const std::string& text, std::uint16_
   return address;
 }
 
-/// An address setting that cannot work.
-struct AddressMistake {
-  const char* key;
-  std::string why;
-};
 /// `key`: parameter of this computer's address. `from`: address of the only sender; empty: all.
-inline std::optional<AddressMistake> mistake_in_addresses(const char* key, const std::string& own,
-                                                          const std::string& from) {
+inline SettingMistake mistake_in_addresses(const char* key, const std::string& own, const std::string& from) {
   const auto address = ip_address(own, 0);
-  if (!address) return AddressMistake{key, "\"" + own + "\" is not an IP address, such as 0.0.0.0"};
-  if (from.empty()) return std::nullopt;
+  if (!address) return {key, "\"" + own + "\" is not an IP address, such as 0.0.0.0"};
+  if (from.empty()) return {};
   const auto sender = ip_address(from, 0);
-  if (!sender) return AddressMistake{"from", "\"" + from + "\" is not an IP address, such as 192.168.1.7"};
+  if (!sender) return {"from", "\"" + from + "\" is not an IP address, such as 192.168.1.7"};
   if (sender->is_v6() != address->is_v6())
-    return AddressMistake{"from", "it is not of the same kind (IPv4 or IPv6) as `" + std::string(key) + "`"};
-  return std::nullopt;
+    return {"from", "it is not of the same kind (IPv4 or IPv6) as `" + std::string(key) + "`"};
+  return {};
 }
 
 }  // namespace rtdata::detail

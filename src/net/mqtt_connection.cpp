@@ -9,11 +9,14 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <iterator>
 #include <mutex>
 #include <system_error>
 
 #include "io/no_sigpipe.hpp"
 #include "loop/core/loop_core.hpp"
+#include "net/host_lookup.hpp"
+#include "net/tls_mistakes.hpp"
 #include "net/tls_session.hpp"
 
 namespace rtdata::detail {
@@ -202,20 +205,22 @@ std::string obstacle_of_topic(const std::string& topic) {
   return topic.size() > 1000 ? "it is too long" : "";
 }
 
-std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBroker& broker) {
-  std::vector<std::pair<const char*, std::string>> mistakes;
+std::vector<SettingMistake> mistakes_of(const MqttBroker& broker) {
+  std::vector<SettingMistake> mistakes;
+  const auto add = [&](const char* key, std::string why) { mistakes.push_back({key, std::move(why)}); };
+  if (std::string why = obstacle_of_host(broker.host); !why.empty()) add("host", std::move(why));
+  if (broker.tls) std::ranges::move(mistakes_of(*broker.tls), std::back_inserter(mistakes));
   constexpr std::size_t longest_text = 65535;  // MQTT 3.1.1 section 1.5.3, MQTT 5 section 1.5.4
   const auto is_control = [](char c) { return static_cast<unsigned char>(c) < ' ' || c == 0x7f; };
   for (const auto& [key, text] : {std::pair{"client_id", &broker.client_id}, std::pair{"user", &broker.user}}) {
     if (std::any_of(text->begin(), text->end(), is_control))
-      mistakes.emplace_back(key, "it has a control character, which brokers do not accept");
+      add(key, "it has a control character, which brokers do not accept");
     if (text->size() > longest_text)
-      mistakes.emplace_back(key, "it has " + std::to_string(text->size()) + " bytes, but a text in MQTT has at most " +
-                                     std::to_string(longest_text));
+      add(key, "it has " + std::to_string(text->size()) + " bytes, but a text in MQTT has at most " +
+                   std::to_string(longest_text));
   }
-  if (broker.password.find('\0') != std::string::npos)
-    mistakes.emplace_back("password", "it contains a NUL byte, which would end it");
-  if (broker.user.empty() && !broker.password.empty()) mistakes.emplace_back("password", "`password` needs a `user`");
+  if (broker.password.find('\0') != std::string::npos) add("password", "it contains a NUL byte, which would end it");
+  if (broker.user.empty() && !broker.password.empty()) add("password", "`password` needs a `user`");
   return mistakes;
 }
 

@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "data/setting_mistake.hpp"
 #include "net/libmosquitto.hpp"
 #include "net/mqtt_inlet.hpp"
 #include "rtdata/detail/loop/lane.hpp"
@@ -67,8 +68,8 @@ struct MqttOptions {
 std::uint16_t port_of(const MqttBroker& broker) noexcept;
 /// Why messages cannot be published there; empty: they can.
 std::string obstacle_of_topic(const std::string& topic);
-/// Settings of the broker that MQTT cannot represent: the key and the reason.
-std::vector<std::pair<const char*, std::string>> mistakes_of_client(const MqttBroker& broker);
+/// Settings that cannot be right, or that MQTT cannot represent.
+std::vector<SettingMistake> mistakes_of(const MqttBroker& broker);
 /// A topic that both filters match (the broker sends such a message twice); empty: there is none.
 std::string topic_of_both(std::string_view one, std::string_view other);
 

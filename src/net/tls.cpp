@@ -1,4 +1,4 @@
-#include "rtdata/net/tls.hpp"
+#include "net/tls_mistakes.hpp"
 
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -9,8 +9,9 @@
 #include <cstddef>
 #include <string>
 #include <system_error>
+#include <utility>
 
-namespace rtdata {
+namespace rtdata::detail {
 namespace {
 
 constexpr off_t most_looked_at = off_t{1}
@@ -34,25 +35,24 @@ std::string obstacle(const std::string& path) {
 
 }  // namespace
 
-std::vector<TlsMistake> mistakes_of(const TlsConfig& config) {
-  std::vector<TlsMistake> mistakes;
+std::vector<SettingMistake> mistakes_of(const TlsConfig& config, const std::string& keys_in) {
+  std::vector<SettingMistake> mistakes;
+  const auto add = [&](const char* key, std::string why) { mistakes.push_back({keys_in + key, std::move(why)}); };
   const auto look_at = [&](const char* key, const std::string& path) {
     if (path.empty()) return;
-    if (const std::string why = obstacle(path); !why.empty())
-      mistakes.push_back({key, "cannot read the file " + path + ": " + why});
+    if (const std::string why = obstacle(path); !why.empty()) add(key, "cannot read the file " + path + ": " + why);
   };
   look_at("ca_file", config.ca_file);
   look_at("certificate", config.certificate);
   look_at("key", config.key);
   if (!config.certificate.empty() && config.key.empty())
-    mistakes.push_back({"certificate", "a certificate needs its private key: set `key` to its file"});
+    add("certificate", "a certificate needs its private key: set `key` to its file");
   if (config.certificate.empty() && !config.key.empty())
-    mistakes.push_back({"key", "a key needs its certificate: set `certificate` to its file"});
-  if (!config.key_password.empty() && config.key.empty())
-    mistakes.push_back({"key_password", "`key_password` needs a `key`"});
+    add("key", "a key needs its certificate: set `certificate` to its file");
+  if (!config.key_password.empty() && config.key.empty()) add("key_password", "`key_password` needs a `key`");
   if (!config.verify && !config.ca_file.empty())
-    mistakes.push_back({"ca_file", "it is not used with `verify` false: remove one of the two"});
+    add("ca_file", "it is not used with `verify` false: remove one of the two");
   return mistakes;
 }
 
-}  // namespace rtdata
+}  // namespace rtdata::detail

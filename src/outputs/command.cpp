@@ -9,6 +9,7 @@
 #include <chrono>
 #include <string_view>
 
+#include "data/setting_mistake.hpp"
 #include "io/child_process.hpp"
 #include "outputs/set_text.hpp"
 
@@ -45,8 +46,7 @@ struct EndOfChild {
 
 void check_config(const CommandActuatorConfig& config, const ConfigItem& item, Problems& problems) {
   detail::check_words(config.words, item, problems);
-  const ConfigItem* const run = item.find("run");
-  const auto refuse = [&](const char* why) { problems.add((run != nullptr ? *run : item).problem("bad-value", why)); };
+  const auto refuse = [&](const char* why) { detail::add_mistake({"run", why}, item, problems); };
   if (config.run.empty() || config.run.front().empty()) return refuse("there is no program");
   if (std::none_of(config.run.begin() + 1, config.run.end(), detail::has_value_mark))
     refuse("every value would run the same command: write {value} into an argument");

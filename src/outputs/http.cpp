@@ -30,8 +30,8 @@ std::vector<HttpPeer> servers_of(const HttpActuatorConfig& config) {
   return servers;
 }
 
-std::vector<detail::HttpMistake> mistakes_of(const HttpActuatorConfig& config) {
-  std::vector<detail::HttpMistake> mistakes;
+std::vector<detail::SettingMistake> mistakes_of(const HttpActuatorConfig& config) {
+  std::vector<detail::SettingMistake> mistakes;
   for (const HttpPeer& server : servers_of(config)) {
     mistakes = detail::mistakes_of(server);
     if (!mistakes.empty()) return mistakes;
@@ -39,8 +39,8 @@ std::vector<detail::HttpMistake> mistakes_of(const HttpActuatorConfig& config) {
   if (!detail::is_one_line(config.content_type))
     mistakes.push_back({"content_type", "it has a line break or another control character"});
   if (!detail::has_value_mark(config.server.url) &&
-      (config.method == HttpSetMethod::get || !detail::has_value_mark(config.text)))
-    mistakes.push_back({config.method == HttpSetMethod::get ? "url" : "text",
+      (config.method == HttpMethod::get || !detail::has_value_mark(config.text)))
+    mistakes.push_back({config.method == HttpMethod::get ? "url" : "text",
                         "every value would send the same request: write {value} into it"});
   return mistakes;
 }
@@ -63,7 +63,7 @@ struct HttpActuator::Request {
     if (easy == nullptr) detail::no_memory();
     url = detail::parse_http_url(servers_of(config).front().url).or_throw();
     secrets = detail::secrets_of(config.server);
-    detail::append_headers(headers, config.server, config.method == HttpSetMethod::get ? "" : config.content_type);
+    detail::append_headers(headers, config.server, config.method == HttpMethod::get ? "" : config.content_type);
     const auto set = [&](CURLoption option, auto value) { curl_easy_setopt(easy, option, value); };
     detail::set_server(easy, config.server, url);
     set(CURLOPT_NOSIGNAL, 1L);
@@ -71,8 +71,8 @@ struct HttpActuator::Request {
     set(CURLOPT_ERRORBUFFER, error);
     set(CURLOPT_WRITEDATA, &answered);
     set(CURLOPT_WRITEFUNCTION, &detail::HttpText::take);
-    if (config.method != HttpSetMethod::get) set(CURLOPT_POST, 1L);
-    if (config.method == HttpSetMethod::put) set(CURLOPT_CUSTOMREQUEST, "PUT");
+    if (config.method != HttpMethod::get) set(CURLOPT_POST, 1L);
+    if (config.method == HttpMethod::put) set(CURLOPT_CUSTOMREQUEST, "PUT");
     set(CURLOPT_TIMEOUT_MS, static_cast<long>(std::chrono::ceil<std::chrono::milliseconds>(config.timeout).count()));
   }
   void prepare(double value) {
@@ -81,7 +81,7 @@ struct HttpActuator::Request {
     error[0] = '\0';
     const std::string where = detail::set_text(config.server.url, value, config.words);
     curl_easy_setopt(easy, CURLOPT_URL, where.c_str());  // copied
-    if (config.method == HttpSetMethod::get) return;
+    if (config.method == HttpMethod::get) return;
     const std::string body = detail::set_text(config.text, value, config.words);
     curl_easy_setopt(easy, CURLOPT_POSTFIELDSIZE, static_cast<long>(body.size()));
     curl_easy_setopt(easy, CURLOPT_COPYPOSTFIELDS, body.c_str());
@@ -132,8 +132,7 @@ struct HttpActuator::Request {
 
 HttpActuator::HttpActuator(HttpActuatorConfig config) : request_(std::make_shared<Request>(std::move(config))) {
   detail::need_curl();
-  for (const detail::HttpMistake& mistake : mistakes_of(request_->config))
-    throw SetupError({Errc::bad_argument, cannot_set_http, mistake.key, mistake.message, ""});
+  for (const detail::SettingMistake& mistake : mistakes_of(request_->config)) throw mistake.error(cannot_set_http);
   request_->make();
 }
 

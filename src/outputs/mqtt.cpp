@@ -26,21 +26,12 @@ constexpr int longest_wait_ms = 100;  // for waiting for data
 constexpr Duration between_attempts = std::chrono::milliseconds{200};
 constexpr Duration goodbye_limit = std::chrono::milliseconds{300};
 
-struct Mistake {
-  const char* key;
-  std::string why;
-};
-
-std::vector<Mistake> mistakes_of(const MqttActuatorConfig& config) {
-  std::vector<Mistake> mistakes;
+std::vector<detail::SettingMistake> mistakes_of(const MqttActuatorConfig& config) {
+  std::vector<detail::SettingMistake> mistakes = detail::mistakes_of(config.broker);
   const auto add = [&](const char* key, std::string why) {
     if (!why.empty()) mistakes.push_back({key, std::move(why)});
   };
-  add("host", detail::obstacle_of_host(config.broker.host));
-  for (auto& [key, why] : detail::mistakes_of_client(config.broker)) add(key, std::move(why));
   add("to", detail::obstacle_of_topic(config.to));
-  if (config.broker.tls)
-    for (const TlsMistake& mistake : mistakes_of(*config.broker.tls)) add("tls", mistake.key + ": " + mistake.message);
   add("qos", config.qos > 2 ? "it must be 0, 1 or 2" : "");
   add("text",
       detail::has_value_mark(config.text) ? "" : "every value would send the same message: write {value} into it");
@@ -210,8 +201,7 @@ struct MqttActuator::Link {
 
 MqttActuator::MqttActuator(MqttActuatorConfig config) : config_(std::move(config)) {
   detail::libmosquitto.load().or_throw();
-  for (const Mistake& mistake : mistakes_of(config_))
-    throw SetupError({Errc::bad_argument, cannot_set_mqtt, mistake.key, mistake.why, ""});
+  for (const detail::SettingMistake& mistake : mistakes_of(config_)) throw mistake.error(cannot_set_mqtt);
 }
 
 MqttActuator::~MqttActuator() {
@@ -237,10 +227,7 @@ Result<void> MqttActuator::check() { return link_ != nullptr ? link_->check() : 
 
 void check_config(const MqttActuatorConfig& config, const ConfigItem& item, Problems& problems) {
   if (!detail::add_not_installed(detail::libmosquitto.load(), item, problems)) return;
-  for (const Mistake& mistake : mistakes_of(config)) {
-    const ConfigItem* const at = item.find(mistake.key);
-    problems.add((at != nullptr ? *at : item).problem("bad-value", mistake.why));
-  }
+  detail::add_mistakes(mistakes_of(config), item, problems);
   detail::check_words(config.words, item, problems);
 }
 

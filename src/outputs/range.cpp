@@ -3,6 +3,7 @@
 #include <exception>
 #include <utility>
 
+#include "data/setting_mistake.hpp"
 #include "outputs/set_text.hpp"
 #include "process/expression_fields.hpp"
 #include "process/expression_tree.hpp"
@@ -47,11 +48,6 @@ std::vector<Constant> constants_of(const std::string& text) {
   return constants;
 }
 
-const ConfigItem& child_or_self(const ConfigItem& item, const char* key) {
-  const ConfigItem* const child = item.find(key);
-  return child != nullptr ? *child : item;
-}
-
 }  // namespace
 
 std::string OutputRange::refusal(double value) const {
@@ -83,20 +79,20 @@ void check_output_values(const OutputConfig& config, const OutputRange& range, c
   const auto check = [&](double value, const ConfigItem& at, const char* what) {
     if (const std::string why = range.refusal(value); !why.empty()) problems.add(at.problem("bad-value", what + why));
   };
-  check(config.safe, child_or_self(item, "safe"), item.find("safe") != nullptr ? "" : "`safe` is 0 by default: ");
+  check(config.safe, detail::item_of(item, "safe"), item.find("safe") != nullptr ? "" : "`safe` is 0 by default: ");
   if (config.hysteresis) {
-    const ConfigItem& at = child_or_self(item, "hysteresis");
+    const ConfigItem& at = detail::item_of(item, "hysteresis");
     check(0, at, "off is 0: ");
     check(1, at, "on is 1: ");
   } else if (config.pid) {
-    const ConfigItem& at = child_or_self(item, "pid");
+    const ConfigItem& at = detail::item_of(item, "pid");
     if (range.is_whole) {  // nearly all of its values would be refused
       problems.add(at.problem("bad-value",
                               "a `pid` gives fractions, but the device accepts only whole numbers: use `hysteresis`"));
       return;
     }
-    check(config.pid->least, child_or_self(at, "least"), at.find("least") != nullptr ? "" : "`least` is 0: ");
-    check(config.pid->most, child_or_self(at, "most"), at.find("most") != nullptr ? "" : "`most` is 1: ");
+    check(config.pid->least, detail::item_of(at, "least"), at.find("least") != nullptr ? "" : "`least` is 0: ");
+    check(config.pid->most, detail::item_of(at, "most"), at.find("most") != nullptr ? "" : "`most` is 1: ");
   } else if (const ConfigItem* const at = item.find("expression")) {
     for (const Constant& constant : constants_of(config.expression))
       if (const std::string why = range.refusal(constant.value); !why.empty())

@@ -12,6 +12,7 @@
 #include <string_view>
 
 #include "data/hex_bytes.hpp"
+#include "data/setting_mistake.hpp"
 #include "io/stream_line.hpp"
 #include "io/tty.hpp"
 #include "outputs/set_text.hpp"
@@ -75,8 +76,7 @@ void SerialActuatorConfig::check(const SerialActuatorConfig& config, const Confi
   detail::check_place({.device = config.device, .host = config.host, .port = config.port, .serial = config.serial},
                       "`device` and `host`", item, problems);
   const auto refuse = [&](const char* key, std::string why) {
-    const ConfigItem* const at = item.find(key);
-    problems.add((at != nullptr ? *at : item).problem("bad-value", std::move(why)));
+    detail::add_mistake({key, std::move(why)}, item, problems);
   };
   if (!config.answer.empty() && !config.answer_hex.empty())
     refuse("answer_hex", "there is also an `answer`: remove one of them");
@@ -91,10 +91,8 @@ void SerialActuatorConfig::check(const SerialActuatorConfig& config, const Confi
       refuse("words_hex", "there is also a `text` or `words`: remove those, or this");
     return;
   }
-  if (detail::has_value_mark(config.text)) return;
-  const ConfigItem* const text = item.find("text");
-  problems.add((text != nullptr ? *text : item)
-                   .problem("bad-value", "every value would send the same text: write {value} into it"));
+  if (!detail::has_value_mark(config.text))
+    refuse("text", "every value would send the same text: write {value} into it");
 }
 
 SerialActuator::SerialActuator(SerialActuatorConfig config)

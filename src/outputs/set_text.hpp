@@ -7,6 +7,7 @@
 #include <string>
 #include <string_view>
 
+#include "data/setting_mistake.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/problem.hpp"
 
@@ -35,20 +36,16 @@ inline void check_words(const std::map<std::string, std::string>& words, const C
                         const char* name = "words") {
   std::map<std::string, std::string> values;  // by word
   for (const auto& [key, word] : words) {
-    if (const auto [other, is_new] = values.try_emplace(word, key); !is_new) {
-      const ConfigItem* const twice = item.find(name);
-      problems.add((twice != nullptr ? *twice : item)
-                       .problem("bad-value", other->second + " and " + key + " are both written \"" + word +
-                                                 "\": the device could not distinguish them"));
-    }
+    if (const auto [other, is_new] = values.try_emplace(word, key); !is_new)
+      add_mistake({name, other->second + " and " + key + " are both written \"" + word +
+                             "\": the device could not distinguish them"},
+                  item, problems);
     double value = 0;
     const auto [end, failed] = std::from_chars(key.data(), key.data() + key.size(), value);
     const bool is_number = failed == std::errc{} && end == key.data() + key.size();
     if (is_number && number_text(value) == key) continue;
-    const ConfigItem* const at = item.find(name);
-    problems.add((at != nullptr ? *at : item)
-                     .problem("bad-value", "\"" + key + "\" is not a value" +
-                                               (is_number ? ": it is written " + number_text(value) : std::string())));
+    add_mistake({name, "\"" + key + "\" is not a value" + (is_number ? ": it is written " + number_text(value) : "")},
+                item, problems);
   }
 }
 

@@ -1,3 +1,4 @@
+#include "data/setting_mistake.hpp"
 #include "postgresql/libpq.hpp"
 #include "postgresql/postgresql_writer.hpp"
 #include "rtdata/data/config_item.hpp"
@@ -22,13 +23,10 @@ std::unique_ptr<Writer> make_writer(const PostgresqlConfig& config) {
 
 void check_config(const PostgresqlConfig& config, const ConfigItem& item, Problems& problems) {
   if (!detail::add_not_installed(detail::libpq.load(), item, problems)) return;
-  const auto tell = [&](std::string message) {
-    const ConfigItem* url = item.find("url");
-    problems.add((url != nullptr ? *url : item).problem("bad-value", std::move(message)));
-  };
+  const auto tell = [&](std::string why) { detail::add_mistake({"url", std::move(why)}, item, problems); };
   if (config.schema.starts_with("pg_"))
-    problems.add((item.find("schema") != nullptr ? *item.find("schema") : item)
-                     .problem("bad-value", "names that begin with pg_ are reserved for the server; choose another"));
+    detail::add_mistake({"schema", "names that begin with pg_ are reserved for the server", "choose another"}, item,
+                        problems);
   try {
     if (!postgresql::password_in(config.url).empty())
       tell(

@@ -8,6 +8,7 @@
 
 #include "data/field_layout.hpp"
 #include "data/nearest.hpp"
+#include "data/setting_mistake.hpp"
 #include "process/published.hpp"
 #include "rtdata/data/config_item.hpp"
 
@@ -225,15 +226,6 @@ std::vector<const Leaf*> leaves_of(const Description& description, std::string_v
   return leaves;
 }
 
-const ConfigItem& item_of(const ConfigItem& item, std::string_view key) {
-  while (!key.empty()) {
-    if (const ConfigItem* found = item.find(key)) return *found;
-    const std::size_t last = key.find_last_of(".[");
-    key = key.substr(0, last == std::string_view::npos ? 0 : last);
-  }
-  return item;
-}
-
 bool has_rate(const FieldProcessing& processing) noexcept {
   return std::any_of(processing.filters.begin(), processing.filters.end(),
                      [](const Filter& f) { return f.type == FilterType::rate_of_change; });
@@ -296,7 +288,7 @@ double calibrated(const Calibration& calibration, double raw) noexcept {
 
 void check_config(const FieldProcessing& config, const ConfigItem& item, Problems& problems) {
   for (const ProcessingMistake& mistake : mistakes_in("", config)) {
-    problems.add(detail::item_of(item, mistake.key).problem("bad-value", mistake.why + "; " + mistake.advice));
+    detail::add_mistake({mistake.key, mistake.why, mistake.advice}, item, problems);
   }
   const ConfigItem* const points = item.find("calibration.points");
   if (points != nullptr && points->is_array() && points->size() == 0)

@@ -4,7 +4,6 @@
 #include <string_view>
 #include <vector>
 
-#include "rtdata/data/config_item.hpp"
 #include "rtdata/process/processing.hpp"
 
 namespace rtdata::detail {
@@ -15,7 +14,5 @@ bool has_rate(const FieldProcessing& processing) noexcept;
 
 /// The values of a field of a processing: one, or the elements of an array.
 std::vector<const Leaf*> leaves_of(const Description& description, std::string_view path);
-/// The item at which a mistake is shown: the item of the key, or the nearest one that contains it.
-const ConfigItem& item_of(const ConfigItem& item, std::string_view key);
 
 }  // namespace rtdata::detail

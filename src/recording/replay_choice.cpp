@@ -7,6 +7,7 @@
 #include <set>
 
 #include "data/name.hpp"
+#include "data/setting_mistake.hpp"
 #include "data/time_text.hpp"
 #include "recording/recording_file.hpp"
 #include "recording/schema.hpp"
@@ -116,9 +117,7 @@ Result<void> check_replayable(const ReplayConfig& config) try {
 
 void check_config(const ReplayConfig& config, const ConfigItem& item, Problems& problems) {
   const auto add = [&](const char* key, const Error& error) {
-    const ConfigItem* at = item.find(key);
-    problems.add(
-        (at != nullptr ? *at : item).problem("bad-value", error.where + ": " + error.why + "; " + error.advice));
+    detail::add_mistake({key, error.where + ": " + error.why, error.advice}, item, problems);
   };
   const auto from = detail::given_time("from", config.from), until = detail::given_time("until", config.until);
   if (!from) add("from", from.error());

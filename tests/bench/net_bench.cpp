@@ -263,7 +263,7 @@ void bench_mqtt(Report& report) {
         {.name = "mqtt_msgs", .unit = "ns/message", .reach = 1.15},
         [&] {
           return sent_cpu(batches, [&](rtdata::Loop& loop) {
-            return rtdata::MqttSink(loop, {.host = "127.0.0.1", .port = broker.port(), .qos = qos});
+            return rtdata::MqttSink(loop, {.broker = {.host = "127.0.0.1", .port = broker.port()}, .qos = qos});
           });
         },
         [&] { return bare_mqtt(broker.port(), batches, qos); }, 9);

@@ -84,7 +84,7 @@ TEST_SUITE("outputs") {
       p.follow(0);  // its safe value
       CHECK(p.update(15, at(5s)) == 0.5);
       CHECK(p.update(15, at(6s)) == 0.5);
-      p.set_gains(0.02, 0, kd);
+      p.change({.setpoint = 20, .kp = 0.02, .kd = kd, .least = 0, .most = 1});
       CHECK(p.update(15, at(7s)) == doctest::Approx(0.1));
       p.change({.setpoint = 25, .kp = 0.02, .kd = kd, .least = 0, .most = 1});
       CHECK(p.update(15, at(8s)) == doctest::Approx(0.2));
@@ -94,7 +94,7 @@ TEST_SUITE("outputs") {
     CHECK(first.update(15, at(0s)) == 0.5);
     Pid had({.setpoint = 20, .kp = 0.1, .ki = 0.1, .least = 0, .most = 1});
     for (int i = 0; i < 4; ++i) had.update(19, at(i * 1s));
-    had.set_gains(0.1, 0, 0);
+    had.change({.setpoint = 20, .kp = 0.1, .least = 0, .most = 1});
     CHECK(had.update(19, at(4s)) == doctest::Approx(0.1));
   }
 
@@ -138,7 +138,7 @@ TEST_SUITE("outputs") {
     double measured = 4;
     for (int i = 0; i < 20; ++i) pid.update(measured += 0.1, at(i * 1s));
     const double before = pid.output();
-    pid.set_gains(0.4, 0.001, 0.3);
+    pid.change({.setpoint = 10, .kp = 0.4, .ki = 0.001, .kd = 0.3});
     CHECK(pid.update(measured, at(19s)) == doctest::Approx(before));
     pid.follow(0.7);
     CHECK(pid.output() == 0.7);

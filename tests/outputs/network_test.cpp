@@ -71,13 +71,13 @@ TEST_SUITE("outputs") {
     const sinks::HttpServer server;
     {
       HttpActuator relay({.server = {.url = server.url("/relay?turn={value}")},
-                          .method = HttpSetMethod::get,
+                          .method = HttpMethod::get,
                           .words = {{"0", "off"}, {"1", "on"}}});
       CHECK(relay.open(0).has_value());
       CHECK(relay.set(1).has_value());
     }
     HttpActuator dimmer({.server = {.url = server.url("/dim"), .bearer = "token of mine"},
-                         .method = HttpSetMethod::put,
+                         .method = HttpMethod::put,
                          .text = "{\"level\": {value}}",
                          .content_type = "application/json"});
     CHECK(dimmer.open({}).has_value());  // as it is: nothing is sent

@@ -190,7 +190,7 @@ TEST_CASE("US-7 an answer whose value was not published is asked for again in fu
 TEST_CASE("US-17 a URL may be asked by a request with a text, and with the right to read it") {
   NEEDS_PROGRAM(python);
   Bench post({.server = {.url = {}, .headers = {{"X-Site", "roof"}}, .bearer = "token of mine"},
-              .method = HttpAskMethod::post,
+              .method = HttpMethod::post,
               .text = R"({"id":1,"method":"Switch.GetStatus"})",
               .fields = {{.name = "w", .key = "result.apower"}}});
   CHECK(post.rows_of(R"({"id": 1, "result": {"apower": 8.9}})") == Rows{{8.9}});

@@ -75,8 +75,8 @@ struct Bench {
     });
   }
   MqttConfig to(std::uint16_t port, MqttConfig config = {}) {
-    config.host = "127.0.0.1";
-    config.port = port;
+    config.broker.host = "127.0.0.1";
+    config.broker.port = port;
     config.sink.batch_time = 10ms;
     config.sink.retry_first = 50ms;
     config.sink.retry_longest = 200ms;
@@ -125,7 +125,8 @@ TEST_SUITE("sinks") {
         CAPTURE(int{qos});
         Bench bench;
         Listener listener(broker.port());
-        MqttSink sink(bench.loop, bench.to(broker.port(), {.topic = "plant/{topic}", .qos = qos, .version = version}));
+        MqttSink sink(bench.loop,
+                      bench.to(broker.port(), {.broker = {.version = version}, .topic = "plant/{topic}", .qos = qos}));
         bench.publish(500);
         CHECK(bench.wait_for([&] { return listener.hear(), listener.messages.size() >= 500; }));
         REQUIRE(listener.messages.size() == 500);
@@ -186,7 +187,8 @@ TEST_SUITE("sinks") {
     CHECK(bench.loop.close(2s) == 0);
     CHECK_THROWS_AS(MqttSink(bench.loop, {.qos = 0, .wait_for_subscriber = true}), SetupError);
     CHECK_THROWS_AS(MqttSink(bench.loop, {.qos = 2, .wait_for_subscriber = true}), SetupError);
-    CHECK_THROWS_AS(MqttSink(bench.loop, {.wait_for_subscriber = true, .version = MqttVersion::v311}), SetupError);
+    CHECK_THROWS_AS(MqttSink(bench.loop, {.broker = {.version = MqttVersion::v311}, .wait_for_subscriber = true}),
+                    SetupError);
   }
 
   TEST_CASE("US-32 a broker gets the final account as the last message, when it is asked for") {
@@ -294,7 +296,7 @@ TEST_SUITE("sinks") {
       CAPTURE(static_cast<int>(version));
       Bench bench;
       Listener listener(broker.port());
-      MqttSink sink(bench.loop, bench.to(broker.port(), {.version = version}));
+      MqttSink sink(bench.loop, bench.to(broker.port(), {.broker = {.version = version}}));
       bench.publish(20);
       bench.loop.topic<Words>("words").publish({"short"});
       bench.loop.topic<Words>("words").publish({std::string(900, 'x')});
@@ -324,7 +326,7 @@ TEST_SUITE("sinks") {
     Broker broker;
     broker.kill();
     Bench bench;
-    MqttSink sink(bench.loop, bench.to(broker.port(), {.version = MqttVersion::v311}));
+    MqttSink sink(bench.loop, bench.to(broker.port(), {.broker = {.version = MqttVersion::v311}}));
     bench.publish(200);
     for (int round = 0; round < 6; ++round) {
       broker.start();
@@ -345,7 +347,7 @@ TEST_SUITE("sinks") {
     NEEDS_BROKER();
     Broker broker("allow_anonymous false\n");
     Bench bench;
-    MqttSink sink(bench.loop, bench.to(broker.port(), {.user = "me", .password = "wrong-password"}));
+    MqttSink sink(bench.loop, bench.to(broker.port(), {.broker = {.user = "me", .password = "wrong-password"}}));
     bench.publish(10);
     CHECK(bench.wait_for([&] { return sink.health() == Health::faulted && bench.errors.size() >= 1; }));
     CHECK_MESSAGE(bench.has_error("the broker refuses the connection"), bench.errors.front());
@@ -361,7 +363,7 @@ TEST_SUITE("sinks") {
     for (const MqttVersion version : {MqttVersion::newest, MqttVersion::v311}) {
       CAPTURE(static_cast<int>(version));
       Bench bench;
-      MqttSink refused(bench.loop, bench.to(broker.port(), {.version = version, .client_id = "phone-1"}));
+      MqttSink refused(bench.loop, bench.to(broker.port(), {.broker = {.version = version, .client_id = "phone-1"}}));
       bench.publish(10);
       CHECK(bench.wait_for([&] { return refused.health() == Health::faulted && !bench.errors.empty(); }));
       CHECK_MESSAGE(bench.has_error("the broker refuses the connection"), bench.errors.front());
@@ -369,7 +371,7 @@ TEST_SUITE("sinks") {
       CHECK(refused.counts().queued == 10);
       refused.close();
       listener.messages.clear();
-      MqttSink taken(bench.loop, bench.to(broker.port(), {.version = version, .client_id = "node-1"}));
+      MqttSink taken(bench.loop, bench.to(broker.port(), {.broker = {.version = version, .client_id = "node-1"}}));
       bench.publish(10);
       CHECK(bench.wait_for([&] { return taken.counts().stored == 10; }));
       CHECK(bench.wait_for([&] {
@@ -385,7 +387,7 @@ TEST_SUITE("sinks") {
     Broker broker;
     Listener listener(broker.port());
     Bench bench;
-    MqttConfig one = bench.to(broker.port(), {.client_id = "node"}), two = one;
+    MqttConfig one = bench.to(broker.port(), {.broker = {.client_id = "node"}}), two = one;
     one.topic = "one";
     two.topic = "two";
     one.sink.name = "one";
@@ -480,9 +482,10 @@ TEST_SUITE("sinks") {
     for (const bool is_trusted : {true, false}) {
       CAPTURE(is_trusted);
       Bench bench;
-      MqttSink sink(bench.loop,
-                    bench.to(broker.port(), {.retain = true,  // there is no subscriber
-                                             .tls = TlsConfig{.ca_file = is_trusted ? directory / "cert.pem" : ""}}));
+      MqttSink sink(
+          bench.loop,
+          bench.to(broker.port(), {.broker = {.tls = TlsConfig{.ca_file = is_trusted ? directory / "cert.pem" : ""}},
+                                   .retain = true}));
       bench.publish(200);
       CHECK(
           bench.wait_for([&] { return is_trusted ? sink.counts().stored == 200 : sink.health() == Health::faulted; }));
@@ -513,7 +516,8 @@ TEST_SUITE("sinks") {
       Bench bench;
       MqttSink sink(
           bench.loop,
-          bench.to(broker.port(), {.tls = TlsConfig{.ca_file = one.knows_authority ? certificates / "ca.pem" : ""}}));
+          bench.to(broker.port(),
+                   {.broker = {.tls = TlsConfig{.ca_file = one.knows_authority ? certificates / "ca.pem" : ""}}}));
       bench.publish(3);
       CHECK(bench.wait_for([&] { return sink.health() == Health::faulted && !bench.errors.empty(); }));
       REQUIRE_FALSE(bench.errors.empty());
@@ -533,7 +537,7 @@ TEST_SUITE("sinks") {
       const std::string more = is_encrypted ? "certfile " + files[0] + "\nkeyfile " + files[1] + "\n" : "";
       Broker broker("allow_anonymous true\n" + more);
       MqttConfig config;
-      if (!is_encrypted) config.tls = TlsConfig{};
+      if (!is_encrypted) config.broker.tls = TlsConfig{};
       Bench bench;
       MqttSink sink(bench.loop, bench.to(broker.port(), config));
       bench.publish(3);
@@ -564,7 +568,8 @@ TEST_SUITE("sinks") {
       const bool is_good = one.second;
       INFO("certificate " << tls.certificate << ", password " << tls.key_password);
       Bench bench;
-      MqttSink sink(bench.loop, bench.to(broker.port(), {.retain = true, .tls = tls}));  // there is no subscriber
+      MqttSink sink(bench.loop,
+                    bench.to(broker.port(), {.broker = {.tls = tls}, .retain = true}));  // there is no subscriber
       bench.publish(20);
       CHECK(bench.wait_for([&] { return is_good ? sink.counts().stored == 20 : sink.health() == Health::faulted; }));
       CHECK(sink.counts().stored == (is_good ? 20U : 0U));
@@ -582,8 +587,8 @@ TEST_SUITE("sinks") {
     for (const char* host : {"127.0.0.1", "localhost"}) {  // the certificate is for the former
       CAPTURE(host);
       Bench bench;
-      MqttConfig config = bench.to(broker.port(), {.retain = true, .tls = TlsConfig{.verify = false}});
-      config.host = host;
+      MqttConfig config = bench.to(broker.port(), {.broker = {.tls = TlsConfig{.verify = false}}, .retain = true});
+      config.broker.host = host;
       MqttSink sink(bench.loop, config);
       bench.publish(20);
       CHECK(bench.wait_for([&] { return sink.counts().stored == 20; }));
@@ -593,12 +598,12 @@ TEST_SUITE("sinks") {
 
   TEST_CASE("mqtt sinks refuse settings that cannot be right, when they are made") {
     Loop loop{Loop::Manual{}};
-    CHECK_THROWS_AS(MqttSink(loop, {.host = ""}), SetupError);
+    CHECK_THROWS_AS(MqttSink(loop, {.broker = {.host = ""}}), SetupError);
     CHECK_THROWS_AS(MqttSink(loop, {.topic = ""}), SetupError);
     CHECK_THROWS_AS(MqttSink(loop, {.topic = "a/#"}), SetupError);
     CHECK_THROWS_AS(MqttSink(loop, {.format = "csv"}), SetupError);
     CHECK_THROWS_AS(MqttSink(loop, {.qos = 3}), SetupError);
-    CHECK_THROWS_AS(MqttSink(loop, {.tls = TlsConfig{.certificate = "x"}}), SetupError);
+    CHECK_THROWS_AS(MqttSink(loop, {.broker = {.tls = TlsConfig{.certificate = "x"}}}), SetupError);
     CHECK_THROWS_AS(MqttSink(loop, {.will = MqttWill{.topic = "+"}}), SetupError);
   }
 }

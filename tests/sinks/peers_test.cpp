@@ -353,9 +353,7 @@ TEST_SUITE("sinks") {
       loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
       const MqttBroker at{.host = "127.0.0.1", .port = broker.port(), .version = MqttVersion::v5};
       MqttConfig config;
-      config.host = at.host;
-      config.port = at.port;
-      config.version = at.version;
+      config.broker = at;
       config.sink = {.name = "peer", .batch_time = 10ms, .retry_first = 10ms, .retry_longest = 20ms};
       MqttSink sink(loop, config);
       MqttSensor sensor(loop, {.name = "phone"},

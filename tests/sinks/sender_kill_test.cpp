@@ -278,10 +278,10 @@ TEST_SUITE("sinks") {
   TEST_CASE("NFR-1 killed at random moments while it sends by MQTT: no event is missing") {
     kill_at_random({answer_packet, [](Loop& loop, std::uint16_t port) -> Sink {
                       MqttConfig config;
-                      config.host = "127.0.0.1";
-                      config.port = port;
+                      config.broker.host = "127.0.0.1";
+                      config.broker.port = port;
                       config.qos = 1;
-                      config.connect_timeout = 1s;
+                      config.broker.connect_timeout = 1s;
                       config.sending = sending;
                       config.sink = sink_config;
                       return MqttSink(loop, config);

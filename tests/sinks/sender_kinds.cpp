@@ -129,8 +129,8 @@ class MqttStore final : public AnsweredStore {
   MqttStore() : AnsweredStore(answer_packet) {}
   Sink make(Loop& loop, SinkConfig config) override {
     MqttConfig mqtt;
-    mqtt.host = "127.0.0.1";
-    mqtt.port = peer_.port();
+    mqtt.broker.host = "127.0.0.1";
+    mqtt.broker.port = peer_.port();
     mqtt.qos = 1;
     mqtt.sending.timeout = 10min;
     mqtt.sink = std::move(config);
@@ -215,11 +215,11 @@ std::vector<AnsweredSender> answered_senders() {
 #ifdef RTDATA_WITH_MQTT
   all.push_back({"mqtt", answer_packet, [sending](Loop& loop, const std::string& host, std::uint16_t port) -> Sink {
                    MqttConfig config;
-                   config.host = host;
-                   config.port = port;
+                   config.broker.host = host;
+                   config.broker.port = port;
                    config.topic = "t";
                    config.qos = 1;
-                   config.connect_timeout = 1s;
+                   config.broker.connect_timeout = 1s;
                    config.sending = sending;
                    config.sink = sink_config;
                    return MqttSink(loop, config);

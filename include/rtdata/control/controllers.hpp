@@ -104,10 +104,10 @@ struct PidConfig {
 ///   - The derivative is that of the measured value, so that a change of the set point causes no jump. Before it is a
 ///     first-order low-pass filter with the time constant `derivative_filter`.
 ///   - Anti-windup: while the output is at a limit, the integral does not grow further in this direction.
-///   - Bumpless, if there is an integral (`ki` is not 0): `set_gains` and `change` change nothing at that moment;
-///     `follow` gives the real value of the actuator (set by hand, or its safe value), and the first `update` after it
-///     continues from there. The integral absorbs the difference. A controller without an integral would keep the
-///     difference for ever: its output always follows the formula.
+///   - Bumpless, if there is an integral (`ki` is not 0): `change` changes nothing at that moment; `follow` gives the
+///     real value of the actuator (set by hand, or its safe value), and the first `update` after it continues from
+///     there. The integral absorbs the difference. A controller without an integral would keep the difference for ever:
+///     its output always follows the formula.
 ///
 /// `time` gives the time between two updates, whatever the rate. A `time` not later than the last counts as no time
 /// passed; of updates closer than `one_instant`, the last one counts. The first update has no integral and no
@@ -164,14 +164,6 @@ class Pid {
   double setpoint() const noexcept { return config_.setpoint; }
   /// Takes effect at the next update, without smoothing, so that the proportional part can follow a ramp or a profile.
   void set_setpoint(double setpoint) noexcept { config_.setpoint = setpoint; }
-  /// Takes effect at the next update, without a jump of the output.
-  void set_gains(double kp, double ki, double kd) noexcept {
-    Config next = config_;
-    next.kp = kp;
-    next.ki = ki;
-    next.kd = kd;
-    change(next);
-  }
   /// Changes any settings, including the set point, at the next update, without a jump of the output. An output at a
   /// limit leaves it as soon as the formula gives another value: the integral does not store the difference there.
   void change(const Config& next) noexcept {

@@ -126,10 +126,6 @@ std::unique_ptr<Codec> make_csv_codec(CsvConfig config = {});
 
 /// `time,origin,sequence,temperature,position.x` with a line end: what the CSV codec's `header` gives.
 std::string csv_header(const Description& description);
-/// The same with units: `time [ns],origin,sequence,temperature [Cel],position.x [m]`.
-std::string csv_header_with_units(const Description& description);
-/// A row of the units alone: `ns,,,Cel,m`.
-std::string csv_units(const Description& description);
 
 /// Formats by name.
 class CodecRegistry {

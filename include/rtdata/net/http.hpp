@@ -22,6 +22,13 @@ constexpr auto describe(type_tag<HttpVersion>) {
                      value("2", HttpVersion::two));
 }
 
+/// Not every user of a peer supports each.
+enum class HttpMethod { get, post, put };
+constexpr auto describe(type_tag<HttpMethod>) {
+  return enumeration("method", value("get", HttpMethod::get), value("post", HttpMethod::post),
+                     value("put", HttpMethod::put));
+}
+
 /// The environment's proxy variables are not used.
 struct HttpPeer {
   std::string url;                                  ///< http:// or https://, without user and password

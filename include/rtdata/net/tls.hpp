@@ -9,7 +9,6 @@
 #pragma once
 
 #include <string>
-#include <vector>
 
 #include "rtdata/data/parameter.hpp"
 
@@ -37,13 +36,5 @@ struct TlsConfig {
         parameter("key_password", &TlsConfig::key_password, "password of the key, if it has one"));
   }
 };
-
-struct TlsMistake {
-  std::string key;  ///< "certificate"
-  std::string message;
-};
-/// The mistakes in the settings: a certificate without a key, a file that cannot be read. Opens the files; sends
-/// nothing.
-std::vector<TlsMistake> mistakes_of(const TlsConfig& config);
 
 }  // namespace rtdata

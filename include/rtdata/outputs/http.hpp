@@ -1,7 +1,7 @@
 /// HttpActuator: an output device on the network that is set by an HTTP request.
 ///
 ///     rtdata::HttpActuator relay({.server = {.url = "http://192.168.1.40/relay/0?turn={value}"},
-///                                 .method = rtdata::HttpSetMethod::get, .words = {{"0", "off"}, {"1", "on"}}});
+///                                 .method = rtdata::HttpMethod::get, .words = {{"0", "off"}, {"1", "on"}}});
 ///
 /// A value is set when the server has answered with a status from 200 to 299, within `timeout`. Redirections are not
 /// followed. Without an answer it is unknown whether the device has the value.
@@ -22,15 +22,9 @@
 
 namespace rtdata {
 
-enum class HttpSetMethod { get, post, put };
-constexpr auto describe(type_tag<HttpSetMethod>) {
-  return enumeration("method", value("get", HttpSetMethod::get), value("post", HttpSetMethod::post),
-                     value("put", HttpSetMethod::put));
-}
-
 struct HttpActuatorConfig {
   HttpPeer server = {};  ///< `{value}` in its URL is replaced too
-  HttpSetMethod method = HttpSetMethod::post;
+  HttpMethod method = HttpMethod::post;
   std::string text = "{value}";  ///< the body, except for get; `{value}`: the shortest exact number: 1, 0.5
   std::string content_type = "text/plain; charset=utf-8";
   std::map<std::string, std::string> words = {};  ///< texts to send for values: {"0": "off", "1": "on"}

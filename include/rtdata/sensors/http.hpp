@@ -39,16 +39,11 @@
 
 namespace rtdata {
 
-enum class HttpAskMethod { get, post };
-constexpr auto describe(type_tag<HttpAskMethod>) {
-  return enumeration("method", value("get", HttpAskMethod::get), value("post", HttpAskMethod::post));
-}
-
 struct HttpSensorConfig {
   HttpPeer server = {};
-  bool digest = false;  ///< `user` and `password` by digest authentication (RFC 7616), not basic
-  HttpAskMethod method = HttpAskMethod::get;
-  std::string text = {};  ///< the body of the request, with post
+  bool digest = false;                  ///< `user` and `password` by digest authentication (RFC 7616), not basic
+  HttpMethod method = HttpMethod::get;  ///< or post
+  std::string text = {};                ///< the body of the request, with post
   std::string content_type = "application/json";
   LineFormat format = LineFormat::json;  ///< json, csv, labels or pattern
   std::vector<LineField> fields = {};
@@ -66,7 +61,8 @@ struct HttpSensorConfig {
         include_member(&HttpSensorConfig::server),
         parameter("digest", &HttpSensorConfig::digest,
                   "true: digest authentication instead of basic; newer Shelly devices need it"),
-        parameter("method", &HttpSensorConfig::method, "method of the request; get has no body"),
+        parameter("method", &HttpSensorConfig::method, "method of the request; get has no body",
+                  choices(value("get", HttpMethod::get), value("post", HttpMethod::post))),
         parameter("text", &HttpSensorConfig::text, "the body of the request", only_with("method", "post")),
         parameter("content_type", &HttpSensorConfig::content_type, "content type of the body",
                   only_with("method", "post")),

@@ -40,11 +40,6 @@ namespace rtdata {
 class ConfigItem;
 class Problems;
 
-enum class HttpMethod { post, put };
-constexpr auto describe(type_tag<HttpMethod>) {
-  return enumeration("method", value("post", HttpMethod::post), value("put", HttpMethod::put));
-}
-
 enum class HttpCompression { none, gzip };
 constexpr auto describe(type_tag<HttpCompression>) {
   return enumeration("compression", value("none", HttpCompression::none), value("gzip", HttpCompression::gzip));
@@ -58,7 +53,7 @@ constexpr auto describe(type_tag<HttpCutAnswer>) {
 
 struct HttpConfig {
   HttpPeer server = {};
-  HttpMethod method = HttpMethod::post;
+  HttpMethod method = HttpMethod::post;  ///< or put
   /// "json" (an array of objects; with a `parcel_rows` of 1 the object alone), "jsonl" (an object per line), "cbor"
   /// (one after the other), "influx", "raw", or a name of the registry
   std::string format = "json";
@@ -70,7 +65,9 @@ struct HttpConfig {
 
   friend constexpr auto parameters(type_tag<HttpConfig>) {
     return parameter_list(
-        include_member(&HttpConfig::server), parameter("method", &HttpConfig::method, "method of the requests"),
+        include_member(&HttpConfig::server),
+        parameter("method", &HttpConfig::method, "method of the requests",
+                  choices(value("post", HttpMethod::post), value("put", HttpMethod::put))),
         parameter(
             "format", &HttpConfig::format,
             "json (an array of objects; with parcel_rows 1 one object), jsonl, cbor, influx, raw, or a format added "

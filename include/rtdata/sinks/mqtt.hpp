@@ -1,7 +1,7 @@
 /// MqttSink: sends each event as a message to an MQTT 5 or 3.1.1 broker.
 ///
-///     rtdata::MqttSink broker(loop, {.host = "broker.local", .topic = "plant/{topic}", .qos = 1,
-///                                    .sink = {.through = "run.db"}});
+///     rtdata::MqttSink plant(loop, {.broker = {.host = "broker.local"}, .topic = "plant/{topic}", .qos = 1,
+///                                   .sink = {.through = "run.db"}});
 ///
 /// `{topic}` and `{origin}` in `topic` are replaced by those of the event; characters that MQTT does not allow (+ and #
 /// in an origin) become _. The payload is an event in a format: "json" (its default), "cbor", "influx", "raw", or one
@@ -52,29 +52,19 @@ struct MqttWill {
 };
 
 struct MqttConfig {
-  std::string host = "localhost";
-  std::uint16_t port = 0;  ///< 0: 1883, with TLS 8883
+  MqttBroker broker = {};
   std::string topic = "{topic}";
   std::string format = "json";
   std::uint8_t qos = 1;
   bool retain = false;               ///< the broker keeps the last message of each topic for later subscribers
   bool wait_for_subscriber = false;  ///< repeat an event until there is a subscriber
-  MqttVersion version = MqttVersion::newest;
-  std::string client_id = {};  ///< empty: the broker chooses
-  std::string user = {};
-  std::string password = {};
-  std::optional<TlsConfig> tls = {};
   std::optional<MqttWill> will = {};
-  Duration keepalive = std::chrono::seconds{30};        ///< longest silence before a ping
-  Duration connect_timeout = std::chrono::seconds{10};  ///< includes the name lookup
   SendingConfig sending = {.window = 4, .parcel_rows = 100};
   SinkConfig sink = {.batch_time = std::chrono::milliseconds{100}};  ///< name: "mqtt" by default
 
   friend constexpr auto parameters(type_tag<MqttConfig>) {
-    using namespace std::chrono_literals;
     return parameter_list(
-        parameter("host", &MqttConfig::host, "the broker: a name or an address"),
-        parameter("port", &MqttConfig::port, "its port; 0: 1883, with tls 8883"),
+        include_member(&MqttConfig::broker),
         parameter("topic", &MqttConfig::topic, "topic of a message; {topic} and {origin} are those of the event",
                   placeholders("topic", "origin")),
         parameter("format", &MqttConfig::format, "json, cbor, influx or raw"),
@@ -83,16 +73,7 @@ struct MqttConfig {
         parameter("retain", &MqttConfig::retain, "the broker keeps the last message for later subscribers"),
         parameter("wait_for_subscriber", &MqttConfig::wait_for_subscriber,
                   "an event without a subscriber waits until there is one; version 5, qos 1"),
-        parameter("version", &MqttConfig::version, "of MQTT"),
-        parameter("client_id", &MqttConfig::client_id, "client id at the broker; empty: the broker chooses"),
-        parameter("user", &MqttConfig::user, "user name at the broker"),
-        parameter("password", &MqttConfig::password, "to be written as {\"env\": ...} or {\"file\": ...}"),
-        parameter("tls", &MqttConfig::tls,
-                  "encryption; {} is enough if a public authority signed the broker's certificate"),
         parameter("will", &MqttConfig::will, "what the broker publishes when the connection is lost"),
-        parameter("keepalive", &MqttConfig::keepalive, "longest silence of a side before it sends a ping",
-                  range(5s, 18h)),
-        parameter("connect_timeout", &MqttConfig::connect_timeout, "how long connecting may take", range(10ms, 10min)),
         include_member(&MqttConfig::sending), include_member(&MqttConfig::sink));
   }
 };

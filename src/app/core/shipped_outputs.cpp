@@ -57,7 +57,7 @@ void add_shipped_outputs(Registry& registry) {
         if (!url) return;
         plan.place = {"server", url->origin, "two outputs with the same requests would set one device"};
         plan.place.more = config.server.url.substr(config.server.url.find("//") + 2) + " " + config.text;
-        if (config.method == HttpSetMethod::get) plan.place.more.resize(plan.place.more.size() - config.text.size());
+        if (config.method == HttpMethod::get) plan.place.more.resize(plan.place.more.size() - config.text.size());
       });
 #endif
 }

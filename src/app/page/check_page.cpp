@@ -2,7 +2,7 @@
 
 #ifdef RTDATA_WITH_PAGE
 #include "app/page/libmicrohttpd.hpp"
-#include "rtdata/net/tls.hpp"
+#include "net/tls_mistakes.hpp"
 #endif
 
 namespace rtdata::app {
@@ -13,13 +13,9 @@ void check_page(SystemPlan& plan) {
   if (item == nullptr) return;
 #ifdef RTDATA_WITH_PAGE
   (void)detail::add_not_installed(detail::libmicrohttpd.load(), *item, plan.problems);
-  const ConfigItem* const tls = item->find("tls");
-  if (tls == nullptr || !plan.settings.page->tls) return;
+  if (!plan.settings.page->tls) return;
   const PageTls& files = *plan.settings.page->tls;
-  for (const TlsMistake& mistake : mistakes_of(TlsConfig{.certificate = files.certificate, .key = files.key})) {
-    const ConfigItem* const named = tls->find(mistake.key);
-    plan.problems.add((named != nullptr ? named : tls)->problem("bad-value", mistake.message));
-  }
+  detail::add_mistakes(detail::mistakes_of({.certificate = files.certificate, .key = files.key}), *item, plan.problems);
 #else
   plan.problems.add(item->problem("bad-value", "this program was built without libmicrohttpd or dygraphs: no page"));
 #endif

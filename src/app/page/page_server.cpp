@@ -18,6 +18,7 @@
 
 #include "app/page/libmicrohttpd.hpp"
 #include "app/page/page_files.hpp"
+#include "net/ip_address.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -76,28 +77,6 @@ std::string peer_text(MHD_Connection* connection) {
   return text.data();
 }
 
-struct SocketAddress {
-  sockaddr_storage bytes{};
-  socklen_t size = 0;
-};
-SocketAddress socket_address(const PageAddress& of, std::uint16_t port) {
-  SocketAddress address;
-  if (of.is_ipv6()) {
-    auto* const six = reinterpret_cast<sockaddr_in6*>(&address.bytes);
-    six->sin6_family = AF_INET6;
-    six->sin6_port = htons(port);
-    ::inet_pton(AF_INET6, of.host.c_str(), &six->sin6_addr);
-    address.size = sizeof *six;
-  } else {
-    auto* const four = reinterpret_cast<sockaddr_in*>(&address.bytes);
-    four->sin_family = AF_INET;
-    four->sin_port = htons(port);
-    ::inet_pton(AF_INET, of.host.c_str(), &four->sin_addr);
-    address.size = sizeof *four;
-  }
-  return address;
-}
-
 std::string random_text(std::size_t bytes) {
   std::vector<unsigned char> random(bytes);
   if (::getrandom(random.data(), random.size(), 0) != static_cast<ssize_t>(bytes))
@@ -120,16 +99,14 @@ Result<PageListener> PageListener::open(PageAddress address, TakenPort taken) {
   const std::uint16_t last = static_cast<std::uint16_t>(
       std::min(65535, address.port + (taken == TakenPort::next && address.port != 0 ? next_ports : 0)));
   for (std::uint16_t port = address.port;; ++port) {
-    const SocketAddress to = socket_address(address, port);
-    PageListener made(::socket(to.bytes.ss_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0), address);
+    const detail::IpAddress to = detail::ip_address(address.host, port).value();
+    PageListener made(::socket(to.storage.ss_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0), address);
     const int on = 1;
     if (made.fd_ >= 0 && ::setsockopt(made.fd_, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) == 0 &&
-        ::bind(made.fd_, reinterpret_cast<const sockaddr*>(&to.bytes), to.size) == 0 && ::listen(made.fd_, 128) == 0) {
-      SocketAddress bound;
-      bound.size = sizeof bound.bytes;
-      ::getsockname(made.fd_, reinterpret_cast<sockaddr*>(&bound.bytes), &bound.size);
-      // The port is at the same place in both.
-      made.address_.port = ntohs(reinterpret_cast<const sockaddr_in*>(&bound.bytes)->sin_port);
+        ::bind(made.fd_, to.get(), to.size) == 0 && ::listen(made.fd_, 128) == 0) {
+      detail::IpAddress bound{.size = sizeof bound.storage};
+      ::getsockname(made.fd_, reinterpret_cast<sockaddr*>(&bound.storage), &bound.size);
+      made.address_.port = ntohs(bound.v4().sin_port);  // at the same place in both
       return made;
     }
     const int error = errno;

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "config/plan/misfit.hpp"
+#include "data/setting_mistake.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/config/system.hpp"
 
@@ -106,9 +107,7 @@ std::string config_detail::trimmed_notes(std::string_view notes) {
 void config_detail::report_misfit(const Result<void>& good, const ConfigItem& item, Problems& problems) {
   if (good) return;
   const Error& error = good.error();
-  const ConfigItem* at = item.find(error.where);
-  problems.add((at != nullptr ? *at : item)
-                   .problem("bad-value", error.advice.empty() ? error.why : error.why + "; " + error.advice));
+  detail::add_mistake({error.where, error.why, error.advice}, item, problems);
 }
 
 Registry::Registry() {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "data/setting_mistake.hpp"
 #include "rtdata/io/iio.hpp"
 #include "sensors/core/source_node.hpp"
 #include "sensors/core/sysfs_file.hpp"
@@ -132,10 +133,7 @@ void check_config(const AnalogConfig& config, const ConfigItem& item, Problems& 
         (named != nullptr ? *named : item)
             .problem("bad-value", file != nullptr && config.file.empty() ? "it is empty" : std::string(place)));
   }
-  const std::string mistake = mistake_in_range(config);
-  if (mistake.empty()) return;
-  const ConfigItem* span = item.find("span_value_voltage");
-  problems.add((span != nullptr ? *span : item).problem("bad-value", mistake + "; " + range_advice));
+  detail::add_mistake({"span_value_voltage", mistake_in_range(config), range_advice}, item, problems);
 }
 
 ReadTime read_time(const AnalogConfig& config) {

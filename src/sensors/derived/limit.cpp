@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "data/saturating.hpp"
+#include "data/setting_mistake.hpp"
 #include "loop/events/made_of.hpp"
 #include "process/number_field.hpp"
 #include "rtdata/data/config_value.hpp"
@@ -15,11 +16,6 @@ namespace rtdata {
 namespace {
 
 constexpr const char* cannot_watch = "cannot watch limits";
-
-const ConfigItem& item_at(const ConfigItem& item, const char* key) {
-  const ConfigItem* const at = item.find(key);
-  return at != nullptr ? *at : item;
-}
 
 std::string no_such_number(const LimitConfig& config) {
   return "the topic \"" + config.on + "\" has no number `" + (config.field.empty() ? "value" : config.field) + "`";
@@ -201,7 +197,7 @@ void check_config(const LimitConfig& config, const ConfigItem& item, Problems& p
   if (const auto good = check_limits(config.settings()); !good)
     problems.add(item.problem("bad-value", good.error().why + "; " + good.error().advice));
   if (!is_topic_name(config.on))
-    problems.add(item_at(item, "on").problem("bad-value", "\"" + config.on + "\" is not a topic"));
+    problems.add(detail::item_of(item, "on").problem("bad-value", "\"" + config.on + "\" is not a topic"));
 }
 
 void check_limit_field(const LimitConfig& config,
@@ -218,7 +214,7 @@ void check_limit_field(const LimitConfig& config,
     why += "; available:";
     for (const std::string& number : numbers) why += " " + number;
   }
-  problems.add(item_at(item, config.field.empty() ? "on" : "field").problem("unknown-field", why, nearest));
+  problems.add(detail::item_of(item, config.field.empty() ? "on" : "field").problem("unknown-field", why, nearest));
 }
 
 LimitSensor::LimitSensor(Loop& loop, FeedConfig feed, LimitConfig config) {

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "data/saturating.hpp"
+#include "data/setting_mistake.hpp"
 #include "loop/events/made_of.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "process/expression_sources.hpp"
@@ -24,11 +25,6 @@ constexpr const char*
     processes_elsewhere = "events are passed on unchanged: set `process` of the sensor that publishes them";
 constexpr std::size_t most_at_once = 500;  // events that are published, since topics have room for 1024 that wait
 constexpr Duration between_parts = std::chrono::milliseconds{1};
-
-const ConfigItem& when_item(const ConfigItem& item) {
-  const ConfigItem* const at = item.find("when");
-  return at != nullptr ? *at : item;
-}
 
 /// Why the topics are invalid; empty: they are valid.
 std::string refusal_of(const TriggerConfig& config) {
@@ -279,14 +275,14 @@ class TriggerNode final : public FeedNode {
 
 void check_config(const TriggerConfig& config, const ConfigItem& item, Problems& problems) {
   if (const std::string why = refusal_of(config); !why.empty()) problems.add(item.problem("bad-value", why));
-  detail::check_expression(config.when, when_item(item), problems);
+  detail::check_expression(config.when, detail::item_of(item, "when"), problems);
 }
 
 void check_trigger_names(const TriggerConfig& config,
                          const std::function<const Description*(std::string_view topic)>& payload_of,
                          const ConfigItem& item, Problems& problems) {
-  detail::check_field_names(config.when, detail::topics_of(config.on, config.with), payload_of, when_item(item),
-                            problems);
+  detail::check_field_names(config.when, detail::topics_of(config.on, config.with), payload_of,
+                            detail::item_of(item, "when"), problems);
   if (const ConfigItem* const process = item.find("process"); process != nullptr && !process->keys().empty())
     problems.add(process->problem("bad-value", processes_elsewhere));
 }

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 
+#include "data/setting_mistake.hpp"
 #include "loop/events/made_of.hpp"
 #include "process/number_field.hpp"
 #include "rtdata/data/config_value.hpp"
@@ -47,11 +48,6 @@ std::string vertical_refusal(const Description& payload, const std::string& topi
     return "`" + leaf->path + "` of the topic \"" + topic + "\" is in " + std::string(leaf->unit) + "; " +
            (is_acceleration ? "use [g] or m/s2" : "use m, Pa, hPa, kPa, mbar or bar");
   return "";
-}
-
-const ConfigItem& vertical_item(const ConfigItem& item, const char* key) {
-  const ConfigItem* const at = item.find(key);
-  return at != nullptr ? *at : item;
 }
 
 std::string vertical_mistake(const VerticalConfig& config) {
@@ -180,7 +176,7 @@ void check_vertical_fields(const VerticalConfig& config,
     for (const Leaf& leaf : payload->leaves())
       if (detail::number_field(*payload, leaf.path) != nullptr) numbers.push_back(leaf.path);
     const bool is_missing = detail::number_field(*payload, field) == nullptr;
-    problems.add(vertical_item(item, field.empty() ? topic_key : field_key)
+    problems.add(detail::item_of(item, field.empty() ? topic_key : field_key)
                      .problem(is_missing ? "unknown-field" : "bad-value", why,
                               is_missing ? nearest_name(field, numbers) : std::string()));
   };

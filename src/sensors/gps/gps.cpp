@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "data/setting_mistake.hpp"
 #include "io/enabling.hpp"
 #include "net/tcp_stream.hpp"
 #include "rtdata/data/config_item.hpp"
@@ -366,10 +367,8 @@ class GpsNode final : public StreamNode {
 }  // namespace detail
 
 void check_config(const GpsConfig& config, const ConfigItem& item, Problems& problems) {
-  if (!config.host.empty()) return;
-  const ConfigItem* host = item.find("host");
-  problems.add(
-      (host != nullptr ? *host : item).problem("bad-value", "the host is empty: set it, such as \"localhost\""));
+  if (config.host.empty())
+    detail::add_mistake({"host", "the host is empty", "set it, such as \"localhost\""}, item, problems);
 }
 
 ReadTime read_time(const GpsConfig&) { return {.on_loop = std::chrono::microseconds{500}}; }

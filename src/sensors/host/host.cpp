@@ -14,6 +14,7 @@
 #include <utility>
 
 #include "data/first_line.hpp"
+#include "data/setting_mistake.hpp"
 #include "sensors/core/sysfs_file.hpp"
 #include "sensors/host/host_text.hpp"
 #include "sensors/host/hwmon.hpp"
@@ -409,8 +410,7 @@ const char* advice_on_missing_device(const HostConfig& config) {
 void check_config(const HostConfig& config, const ConfigItem& item, Problems& problems) {
   const char* const advice = advice_on_missing_device(config);
   if (advice == nullptr) return;
-  const ConfigItem* device = item.find("device");
-  problems.add((device != nullptr ? *device : item).problem("bad-value", std::string(no_device) + "; " + advice));
+  detail::add_mistake({"device", std::string(no_device), advice}, item, problems);
 }
 
 ReadTime read_time(const HostConfig& config) {

@@ -42,8 +42,8 @@ detail::LineDecoder decoder_of(const HttpSensorConfig& config) {
   return detail::LineDecoder(as_lines(config), {.what = "answer"});
 }
 
-std::vector<detail::HttpMistake> mistakes_of(const HttpSensorConfig& config) {
-  std::vector<detail::HttpMistake> mistakes = detail::mistakes_of(config.server);
+std::vector<detail::SettingMistake> mistakes_of(const HttpSensorConfig& config) {
+  std::vector<detail::SettingMistake> mistakes = detail::mistakes_of(config.server);
   const auto add = [&](const char* key, const char* message) { mistakes.push_back({key, message}); };
   for (const auto& [name, text] : config.server.headers)
     if (detail::lower_case(name) == "if-none-match")
@@ -51,6 +51,7 @@ std::vector<detail::HttpMistake> mistakes_of(const HttpSensorConfig& config) {
   if (config.digest && config.server.user.empty()) add("digest", "it needs `user` and `password`");
   if (!detail::is_one_line(config.content_type))
     add("content_type", "it has a line break or another control character");
+  if (config.method == HttpMethod::put) add("method", "it must be get or post");
   if (config.timeout <= Duration{0}) add("timeout", "it is not positive");
   if (config.format == LineFormat::nmea || config.format == LineFormat::binary)
     add("format", "an answer is json, csv, labels or pattern");
@@ -126,7 +127,7 @@ class HttpRequest final : public detail::Transaction {
   std::byte* payload() noexcept { return decoder_.payload(); }
   /// Its value was published: the server need not send the same answer again.
   void keep_etag() {
-    if (config_.method == HttpAskMethod::get) etag_ = new_etag_;
+    if (config_.method == HttpMethod::get) etag_ = new_etag_;
   }
   Error error() const { return error_ ? *error_ : Error{Errc::io_failed, cannot_ask, url_.origin, "no memory", ""}; }
 
@@ -147,7 +148,7 @@ class HttpRequest final : public detail::Transaction {
     set(CURLOPT_XFERINFOFUNCTION, &is_to_end);
     set(CURLOPT_NOPROGRESS, 0L);
     set(CURLOPT_TIMEOUT_MS, static_cast<long>(std::chrono::ceil<std::chrono::milliseconds>(config_.timeout).count()));
-    if (config_.method == HttpAskMethod::post) {
+    if (config_.method == HttpMethod::post) {
       set(CURLOPT_POST, 1L);
       set(CURLOPT_POSTFIELDS, config_.text.c_str());  // not copied
       set(CURLOPT_POSTFIELDSIZE, static_cast<long>(config_.text.size()));
@@ -155,7 +156,7 @@ class HttpRequest final : public detail::Transaction {
   }
   void set_headers() {
     curl_slist_free_all(std::exchange(headers_, nullptr));
-    const bool is_post = config_.method == HttpAskMethod::post;
+    const bool is_post = config_.method == HttpMethod::post;
     detail::append_headers(headers_, config_.server, is_post ? config_.content_type : "");
     if (!etag_.empty()) detail::append(headers_, "If-None-Match: " + etag_);
     curl_easy_setopt(easy_, CURLOPT_HTTPHEADER, headers_);
@@ -373,8 +374,7 @@ ReadTime read_time(const HttpSensorConfig& config) {
 
 HttpSensor::HttpSensor(Loop& loop, SensorConfig sensor, HttpSensorConfig config) {
   detail::need_curl();
-  for (const detail::HttpMistake& mistake : mistakes_of(config))
-    throw SetupError({Errc::bad_argument, cannot_ask, mistake.key, mistake.message, ""});
+  for (const detail::SettingMistake& mistake : mistakes_of(config)) throw mistake.error(cannot_ask);
   detail::PayloadType type = detail::described_type(decoder_of(config).description());
   const bool is_required = sensor.required;
   *this = HttpSensor(detail::make_sensor(loop, std::move(sensor), std::move(type),

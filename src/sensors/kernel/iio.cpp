@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "data/number_text.hpp"
+#include "data/setting_mistake.hpp"
 #include "rtdata/data/problem.hpp"
 #include "rtdata/io/iio.hpp"
 #include "sensors/core/source_node.hpp"
@@ -227,10 +228,10 @@ void check_config(const IioConfig& config, const ConfigItem& item, Problems& pro
 void check_config(const IioBufferConfig& config, const ConfigItem& item, Problems& problems) {
   check_channels(config.channels, item, problems);
   if (config.watermark <= config.length) return;
-  const ConfigItem* watermark = item.find("watermark");
-  problems.add((watermark != nullptr ? *watermark : item)
-                   .problem("bad-value", "the buffer holds " + std::to_string(config.length) +
-                                             " scans, fewer than the watermark: set a larger `length`"));
+  detail::add_mistake(
+      {"watermark", "the buffer holds " + std::to_string(config.length) + " scans, fewer than the watermark",
+       "set a larger `length`"},
+      item, problems);
 }
 
 ReadTime read_time(const IioConfig& config) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "data/setting_mistake.hpp"
 #include "rtdata/data/problem.hpp"
 #include "sensors/core/stream_node.hpp"
 #include "sensors/core/sysfs_file.hpp"
@@ -189,8 +190,7 @@ class PpsNode final : public StreamNode {
 
 void check_config(const PpsConfig& config, const ConfigItem& item, Problems& problems) {
   if (detail::is_name(config.device)) return;
-  const ConfigItem* device = item.find("device");
-  problems.add((device != nullptr ? *device : item).problem("bad-value", std::string(detail::no_name)));
+  detail::add_mistake({"device", std::string(detail::no_name)}, item, problems);
 }
 
 ReadTime read_time(const PpsConfig&) { return {.on_loop = std::chrono::microseconds{100}}; }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <filesystem>
 
+#include "data/setting_mistake.hpp"
 #include "io/enabling.hpp"
 #include "io/kernel_file.hpp"
 #include "rtdata/data/problem.hpp"
@@ -104,8 +105,7 @@ std::vector<std::string> available_w1(const std::string& root) {
 
 void check_config(const W1Config& config, const ConfigItem& item, Problems& problems) {
   if (is_name(config.device)) return;
-  const ConfigItem* device = item.find("device");
-  problems.add((device != nullptr ? *device : item).problem("bad-value", std::string(no_path)));
+  detail::add_mistake({"device", std::string(no_path)}, item, problems);
 }
 
 ReadTime read_time(const W1Config& config) {

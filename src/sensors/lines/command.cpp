@@ -11,6 +11,7 @@
 #include <string_view>
 #include <utility>
 
+#include "data/setting_mistake.hpp"
 #include "io/child_process.hpp"
 #include "loop/events/allowance.hpp"
 #include "rtdata/data/config_item.hpp"
@@ -186,13 +187,10 @@ void check_config(const CommandConfig& config, const ConfigItem& item, Problems&
   const bool has_nul = std::any_of(config.run.begin(), config.run.end(),
                                    [](const std::string& word) { return word.find('\0') != std::string::npos; });
   if (has_nul)
-    problems.add((item.find("run") != nullptr ? *item.find("run") : item)
-                     .problem("bad-value", "a word contains a byte 0, which would end it: remove it"));
-  if (config.run.empty() || config.run.front().empty()) {
-    const ConfigItem* at = item.find("run");
-    problems.add((at != nullptr ? *at : item)
-                     .problem("bad-value", "it names no program: write one, such as [\"python3\", \"hx711.py\"]"));
-  }
+    detail::add_mistake({"run", "a word contains a byte 0, which would end it", "remove it"}, item, problems);
+  if (config.run.empty() || config.run.front().empty())
+    detail::add_mistake({"run", "it names no program", "write one, such as [\"python3\", \"hx711.py\"]"}, item,
+                        problems);
   check_config(config.lines, item, problems);
 }
 

@@ -6,6 +6,7 @@
 
 #include "data/hex_bytes.hpp"
 #include "data/lower_case.hpp"
+#include "data/setting_mistake.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/detail/io/loaded_library.hpp"
 #include "rtdata/sensors/gps.hpp"
@@ -182,8 +183,7 @@ void check_at_open(const std::vector<std::string>& hex, const ConfigItem& item, 
   try {
     texts_at_open({}, hex, key);
   } catch (const SetupError& error) {
-    const ConfigItem* const at = item.find(key);
-    problems.add((at != nullptr ? *at : item).problem("bad-value", error.error().why + "; " + error.error().advice));
+    add_mistake({key, error.error().why, error.error().advice}, item, problems);
   }
 }
 
@@ -206,6 +206,14 @@ void check_bytes_are_framed(const LineConfig& config) {
                                    "set `frame`; `base` 16 is for bytes written as hexadecimal digits"));
 }
 
+SettingMistake mistake_in_lines(const Error& error) {
+  constexpr std::string_view keys[] = {"sequence_field", "separator",     "comment",  "line_end", "frame",
+                                       "only",           "unreadable_if", "checksum", "pattern",  "device_time"};
+  if (error.where.empty()) return {"fields", error.why, error.advice};
+  if (std::ranges::find(keys, error.where) != std::end(keys)) return {error.where, error.why, error.advice};
+  return {"fields", error.where + ": " + error.why, error.advice};
+}
+
 void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const ConfigItem& item, Problems& problems) {
   try {
     const auto decoder = decoder_of_lines(config);
@@ -218,15 +226,10 @@ void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const 
       add_not_installed(e, item, problems);
       return;
     }
-    const std::string_view keys[] = {"sequence_field", "separator",     "comment",  "line_end", "frame",
-                                     "only",           "unreadable_if", "checksum", "pattern",  "device_time"};
-    const bool is_of_key = std::find(std::begin(keys), std::end(keys), e.where) != std::end(keys);
-    const std::string key = is_of_key ? e.where : "fields";
-    const ConfigItem* at = item.find(key);
-    if (at == nullptr && key == "comment") at = item.find("separator");  // which has the default comment
-    const bool is_key = e.where.empty() || e.where == key;
-    problems.add(
-        (at != nullptr ? *at : item).problem("bad-value", (is_key ? "" : e.where + ": ") + e.why + "; " + e.advice));
+    SettingMistake mistake = mistake_in_lines(e);
+    if (mistake.key == "comment" && item.find("comment") == nullptr)
+      mistake.key = "separator";  // which has the default comment
+    add_mistake(mistake, item, problems);
   }
 }
 

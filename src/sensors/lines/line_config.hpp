@@ -6,6 +6,7 @@
 #include <string_view>
 #include <vector>
 
+#include "data/setting_mistake.hpp"
 #include "rtdata/sensors/lines.hpp"
 #include "sensors/lines/frame_cutter.hpp"
 
@@ -21,6 +22,8 @@ void check_lines(const LineConfig& config);
 /// Null: NMEA. SetupError: as LineDecoder, and for settings that NMEA does not have.
 std::unique_ptr<LineDecoder> decoder_of_lines(const LineConfig& config);
 
+/// The setting that an error of lines is about.
+SettingMistake mistake_in_lines(const Error& error);
 /// `check_config` of a LineConfig with such frames.
 void check_lines_of(const LineConfig& config, FrameCutter::Stream stream, const ConfigItem& item, Problems& problems);
 

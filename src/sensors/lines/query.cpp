@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <array>
-#include <optional>
 
 #include "data/hex_bytes.hpp"
+#include "data/setting_mistake.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/detail/loop/lane.hpp"
 #include "sensors/lines/line_config.hpp"
@@ -13,20 +13,15 @@
 namespace rtdata {
 namespace {
 
-struct Mistake {
-  const char* key;
-  const char* why;
-  const char* advice;
-};
-std::optional<Mistake> mistake_in_request(const Query::Config& config) {
+detail::SettingMistake mistake_in_request(const Query::Config& config) {
   if (config.request.empty() && config.request_hex.empty())
-    return Mistake{"request", "there is no request", "set `request` or `request_hex`"};
+    return {"request", "there is no request", "set `request` or `request_hex`"};
   if (!config.request.empty() && !config.request_hex.empty())
-    return Mistake{"request_hex", "there is also a `request`", "remove one of them"};
+    return {"request_hex", "there is also a `request`", "remove one of them"};
   const auto bytes = detail::bytes_of_hex(config.request_hex);
   if (!bytes || (config.request.empty() && bytes->empty()))
-    return Mistake{"request_hex", "these are not bytes", "write two hexadecimal digits for each, such as \"02 4d 0d\""};
-  return std::nullopt;
+    return {"request_hex", "these are not bytes", "write two hexadecimal digits for each, such as \"02 4d 0d\""};
+  return {};
 }
 
 /// The settings of the answer, in the form of lines that a device sends by itself.
@@ -45,29 +40,21 @@ LineConfig as_lines(const Query::Config& config) {
 }
 
 std::string request_of(const Query::Config& config) {
-  if (const auto mistake = mistake_in_request(config))
-    throw SetupError({Errc::bad_argument, "cannot use this query", mistake->key, mistake->why, mistake->advice});
+  if (const auto mistake = mistake_in_request(config)) throw mistake.error("cannot use this query");
   return config.request.empty() ? *detail::bytes_of_hex(config.request_hex) : config.request;
 }
 
 }  // namespace
 
 void check_config(const Query::Config& config, const ConfigItem& item, Problems& problems) {
-  if (const auto mistake = mistake_in_request(config)) {
-    const ConfigItem* at = item.find(mistake->key);
-    problems.add((at != nullptr ? *at : item)
-                     .problem("bad-value", std::string(at != nullptr ? "" : mistake->key) +
-                                               (at != nullptr ? "" : ": ") + mistake->why + "; " + mistake->advice));
-  }
+  detail::add_mistake(mistake_in_request(config), item, problems);
   detail::check_at_open(config.at_open_hex, item, problems);
   detail::check_at_open(config.prepare_hex, item, problems, "prepare_hex");
   if (const ConfigItem* const at = item.find("prepare_wait");
       at != nullptr && config.prepare_wait > Duration{0} && config.prepare.empty() && config.prepare_hex.empty())
     problems.add(at->problem("bad-value", "`prepare_wait` needs `prepare`"));
-  if (config.at_open_answers && config.at_open.empty() && config.at_open_hex.empty()) {
-    const ConfigItem* const at = item.find("at_open_answers");
-    problems.add((at != nullptr ? *at : item).problem("bad-value", "`at_open_answers` needs `at_open`"));
-  }
+  if (config.at_open_answers && config.at_open.empty() && config.at_open_hex.empty())
+    detail::add_mistake({"at_open_answers", "`at_open_answers` needs `at_open`"}, item, problems);
   detail::check_lines_of(as_lines(config), detail::FrameCutter::Stream::of_one, item, problems);
 }
 

@@ -31,15 +31,15 @@ LineConfig lines_of(TcpLinesConfig& config) {
   return std::move(config.lines);
 }
 
-std::optional<AddressMistake> mistake_in_tcp(const TcpLinesConfig& config) {
+SettingMistake mistake_in_tcp(const TcpLinesConfig& config) {
   if (!config.listen.empty()) {
-    if (!config.host.empty()) return AddressMistake{"listen", "there is also a `host`: remove one of them"};
+    if (!config.host.empty()) return {"listen", "there is also a `host`: remove one of them"};
     return mistake_in_addresses("listen", config.listen, config.from);
   }
-  if (config.host.empty()) return AddressMistake{"host", "there is neither a `host` nor an address to `listen` at"};
-  if (std::string why = obstacle_of_host(config.host); !why.empty()) return AddressMistake{"host", std::move(why)};
-  if (!config.from.empty()) return AddressMistake{"from", "it works only with `listen`"};
-  return std::nullopt;
+  if (config.host.empty()) return {"host", "there is neither a `host` nor an address to `listen` at"};
+  if (std::string why = obstacle_of_host(config.host); !why.empty()) return {"host", std::move(why)};
+  if (!config.from.empty()) return {"from", "it works only with `listen`"};
+  return {};
 }
 
 }  // namespace
@@ -192,10 +192,7 @@ class TcpServerNode final : public TcpLinesNode, private TcpListener::User {
 }  // namespace detail
 
 void check_config(const TcpLinesConfig& config, const ConfigItem& item, Problems& problems) {
-  if (const auto mistake = detail::mistake_in_tcp(config)) {
-    const ConfigItem* const at = item.find(mistake->key);
-    problems.add((at != nullptr ? *at : item).problem(at != nullptr ? "bad-value" : "missing-key", mistake->why));
-  }
+  detail::add_mistake(detail::mistake_in_tcp(config), item, problems, "missing-key");
   if (const ConfigItem* const at = item.find("connect_timeout"); at != nullptr && !config.listen.empty())
     problems.add(at->problem("bad-value", "with `listen`, the device makes the connection: remove `connect_timeout`"));
   detail::check_at_open(config.at_open_hex, item, problems);
@@ -208,8 +205,8 @@ TcpLines::TcpLines(Loop& loop, FeedConfig feed, TcpLinesConfig config) {
   const auto refuse = [&](std::string why, const char* what_helps) {
     throw SetupError({Errc::bad_argument, "cannot connect", "sensor " + feed.name, std::move(why), what_helps});
   };
-  if (auto mistake = detail::mistake_in_tcp(config))
-    refuse(mistake->key + (": " + mistake->why), "set `host` or `listen`");
+  if (const auto mistake = detail::mistake_in_tcp(config))
+    refuse(mistake.key + ": " + mistake.why, "set `host` or `listen`");
   if (config.port == 0) refuse("there is no port", "set `port`");
   detail::check_source(config.lines, feed.name);
   const bool starts = config.lines.start;

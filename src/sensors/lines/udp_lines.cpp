@@ -197,10 +197,7 @@ bool UdpLinesConfig::is_group() const {
 }
 
 void check_config(const UdpLinesConfig& config, const ConfigItem& item, Problems& problems) {
-  if (const auto mistake = detail::mistake_in_addresses("address", config.address, config.from)) {
-    const ConfigItem* const at = item.find(mistake->key);
-    problems.add((at != nullptr ? *at : item).problem("bad-value", mistake->why));
-  }
+  detail::add_mistake(detail::mistake_in_addresses("address", config.address, config.from), item, problems);
   check_config(config.lines, item, problems);
 }
 
@@ -211,8 +208,8 @@ UdpLines::UdpLines(Loop& loop, FeedConfig feed, UdpLinesConfig config) {
     throw SetupError({Errc::bad_argument, "cannot receive on this port", "sensor " + feed.name, std::move(why),
                       "check `address`, `port` and `from`"});
   };
-  if (auto mistake = detail::mistake_in_addresses("address", config.address, config.from))
-    refuse(mistake->key + (": " + mistake->why));
+  if (const auto mistake = detail::mistake_in_addresses("address", config.address, config.from))
+    refuse(mistake.key + ": " + mistake.why);
   if (config.port == 0) refuse("there is no port");
   detail::check_source(config.lines, feed.name);
   const bool starts = config.lines.start;

@@ -1,5 +1,6 @@
 // Modbus Application Protocol V1.1b3: 6.1 to 6.4, the functions that read. The order of words depends on the device.
 #include "rtdata/sensors/modbus.hpp"
+#include "data/setting_mistake.hpp"
 
 #include <algorithm>
 #include <array>
@@ -145,10 +146,7 @@ void check_config(const Modbus::Config& config, const ConfigItem& item, Problems
   const auto described = Modbus::describe(config);
   if (described) return;
   const Error& e = described.error();
-  const ConfigItem* at = item.find("fields");
-  problems.add((at != nullptr ? *at : item)
-                   .problem("bad-value", (e.where.empty() ? "" : e.where + ": ") + e.why +
-                                             (e.advice.empty() ? "" : "; ") + e.advice));
+  detail::add_mistake({"fields", (e.where.empty() ? "" : e.where + ": ") + e.why, e.advice}, item, problems);
 }
 
 std::vector<Modbus::Request> Modbus::requests(const Config& config) {

@@ -8,6 +8,7 @@
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/sensors/mqtt.hpp"
 #include "sensors/core/stream_node.hpp"
+#include "sensors/lines/line_config.hpp"
 #include "sensors/lines/line_decoder.hpp"
 
 namespace rtdata {
@@ -306,21 +307,14 @@ std::string obstacle_of_filter(const std::string& filter) {
   return "";
 }
 
-using Mistake = std::pair<const char*, std::string>;
-std::vector<Mistake> mistakes_of(const MqttSensorConfig& config) {
-  std::vector<Mistake> all;
-  const auto add = [&](const char* key, std::string why) {
-    if (!why.empty()) all.emplace_back(key, std::move(why));
-  };
-  add("host", obstacle_of_host(config.broker.host));
-  if (config.broker.tls) {
-    for (const TlsMistake& mistake : rtdata::mistakes_of(*config.broker.tls))
-      add("tls", mistake.key + ": " + mistake.message);
-  }
+std::vector<SettingMistake> mistakes_in(const MqttSensorConfig& config) {
+  std::vector<SettingMistake> all = mistakes_of(config.broker);
+  const auto add = [&](const char* key, std::string why) { all.push_back({key, std::move(why)}); };
+  const std::size_t before = all.size();
   if (config.topics.empty()) add("topics", "there are no topics");
   for (const std::string& topic : config.topics)
     if (std::string why = obstacle_of_filter(topic); !why.empty()) add("topics", "\"" + topic + "\": " + why);
-  if (all.empty()) {
+  if (all.size() == before) {
     for (std::size_t i = 0; i < config.topics.size(); ++i) {
       for (std::size_t k = 0; k < i; ++k) {
         const std::string both = topic_of_both(config.topics[k], config.topics[i]);
@@ -331,7 +325,6 @@ std::vector<Mistake> mistakes_of(const MqttSensorConfig& config) {
       }
     }
   }
-  for (auto& [key, why] : mistakes_of_client(config.broker)) add(key, std::move(why));
   if (config.qos > 2) add("qos", "it must be 0, 1 or 2");
   if (config.session > Duration{0} && config.broker.client_id.empty())
     add("session", "set `client_id`: the broker recognises this sensor by it");
@@ -346,11 +339,7 @@ std::vector<Mistake> mistakes_of(const MqttSensorConfig& config) {
   try {
     const LineDecoder decoder = decoder_of(config);
   } catch (const SetupError& error) {
-    const Error& e = error.error();
-    const char* key = "fields";
-    for (const char* const own : {"separator", "pattern", "only", "unreadable_if"})
-      if (e.where == own) key = own;
-    add(key, (e.where.empty() || e.where == key ? "" : e.where + ": ") + e.why + "; " + e.advice);
+    all.push_back(mistake_in_lines(error.error()));
   }
   return all;
 }
@@ -364,10 +353,7 @@ Result<std::shared_ptr<const Description>> mqtt_description(const MqttSensorConf
 
 void check_config(const MqttSensorConfig& config, const ConfigItem& item, Problems& problems) {
   if (!detail::add_not_installed(detail::libmosquitto.load(), item, problems)) return;
-  for (auto& [key, why] : detail::mistakes_of(config)) {
-    const ConfigItem* at = item.find(key);
-    problems.add((at != nullptr ? *at : item).problem("bad-value", std::move(why)));
-  }
+  detail::add_mistakes(detail::mistakes_in(config), item, problems);
 }
 
 ReadTime read_time(const MqttSensorConfig&) { return {.on_loop = std::chrono::milliseconds{1}}; }
@@ -377,8 +363,8 @@ MqttSensor::MqttSensor(Loop& loop, FeedConfig feed, MqttSensorConfig config) {
   const auto refuse = [&](Errc code, const std::string& why, const char* advice) {
     throw SetupError({code, "cannot use this broker", "sensor " + feed.name, why, advice});
   };
-  for (const auto& [key, why] : detail::mistakes_of(config))
-    refuse(Errc::bad_argument, "`" + std::string(key) + "`: " + why, "");
+  for (const detail::SettingMistake& mistake : detail::mistakes_in(config))
+    refuse(Errc::bad_argument, "`" + mistake.key + "`: " + mistake.why, mistake.advice.c_str());
   if (config.retry_first <= Duration{0}) refuse(Errc::bad_argument, "retry_first is not positive", "such as 100 ms");
   loop.core().check_thread("cannot make sensor", feed.name);
   if (!config.stored_by.empty() && detail::sink_of(loop.core(), config.stored_by) == nullptr)

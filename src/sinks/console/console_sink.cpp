@@ -10,6 +10,7 @@
 #include <cstdio>
 #include <ctime>
 
+#include "data/setting_mistake.hpp"
 #include "data/utf8.hpp"
 #include "io/no_sigpipe.hpp"
 
@@ -117,10 +118,7 @@ class ConsoleWriter final : public Writer {
 }  // namespace
 
 void check_config(const ConsoleConfig& config, const ConfigItem& item, Problems& problems) {
-  const std::string why = obstacle(config.descriptor);
-  const ConfigItem* descriptor = item.find("descriptor");
-  if (!why.empty())
-    problems.add((descriptor != nullptr ? *descriptor : item).problem("bad-value", why + "; " + descriptor_advice));
+  detail::add_mistake({"descriptor", obstacle(config.descriptor), descriptor_advice}, item, problems);
 }
 
 ConsoleSink::ConsoleSink(Loop& loop, ConsoleConfig config)

@@ -1,18 +1,13 @@
 #include "sinks/core/peer_config.hpp"
 
-#include "rtdata/data/config_item.hpp"
-#include "rtdata/data/problem.hpp"
+#include <utility>
+
+#include "rtdata/data/error.hpp"
 
 namespace rtdata::detail {
 
 std::string obstacle_of_format(const std::string& format) {
   return format == "csv" ? "CSV rows do not contain the topic: choose another format" : "";
-}
-
-void add_obstacle(std::string why, const char* key, const ConfigItem& item, Problems& problems) {
-  if (why.empty()) return;
-  const ConfigItem* at = item.find(key);
-  problems.add((at != nullptr ? *at : item).problem("bad-value", std::move(why)));
 }
 
 void require_host(const char* what, const std::string& host, std::uint16_t port) {

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "data/permissions.hpp"
+#include "data/setting_mistake.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/problem.hpp"
 #include "rtdata/data/time.hpp"
@@ -400,14 +401,10 @@ void check_config(const FileConfig& config, const ConfigItem& item, Problems& pr
   const bool is_pattern = config.path.find(topic_mark) != std::string::npos;  // see `refused_topics`
   if (const auto fits = codec && !is_pattern ? OutputFile::check_content(config.path, **codec) : Result<void>{};
       !fits) {
-    const ConfigItem* path = item.find("path");
     const Error& error = fits.error();
-    problems.add((path != nullptr ? *path : item).problem("cannot-record", error.why + "; " + error.advice));
+    problems.add(detail::item_of(item, "path").problem("cannot-record", error.why + "; " + error.advice));
   }
-  const std::string wrong = Rotation::mistake(config);
-  if (wrong.empty()) return;
-  const ConfigItem* at = item.find(config.keep != 0 ? "keep" : "rotate");
-  problems.add((at != nullptr ? *at : item).problem("bad-value", wrong));
+  detail::add_mistake({config.keep != 0 ? "keep" : "rotate", Rotation::mistake(config)}, item, problems);
 }
 
 FileSink::FileSink(Loop& loop, FileConfig config, const CodecRegistry& formats)

@@ -63,8 +63,7 @@ bool is_number(const std::string& host) {
 HttpUrl checked_url(const HttpConfig& config) {
   need_curl();
   if (config.compression == HttpCompression::gzip) libz.load().or_throw();
-  for (const HttpMistake& mistake : mistakes_of(config))
-    throw SetupError({Errc::bad_argument, "cannot send by HTTP", mistake.key, mistake.message, ""});
+  for (const SettingMistake& mistake : mistakes_of(config)) throw mistake.error("cannot send by HTTP");
   return parse_http_url(config.server.url).or_throw();
 }
 

@@ -24,7 +24,7 @@ using HttpKey = std::array<std::uint64_t, 2>;
 /// A key of these rows of the parcel, made of their runs, origins and sequences.
 HttpKey key_of(const Parcel& parcel, std::size_t first, std::size_t last);
 
-std::vector<HttpMistake> mistakes_of(const HttpConfig& config);
+std::vector<SettingMistake> mistakes_of(const HttpConfig& config);
 
 class HttpSender final : public Sender {
  public:

@@ -13,8 +13,9 @@ std::unique_ptr<Sender> make_sender(HttpConfig config, const CodecRegistry& form
 
 namespace detail {
 
-std::vector<HttpMistake> mistakes_of(const HttpConfig& config) {
-  std::vector<HttpMistake> mistakes = mistakes_of(config.server);
+std::vector<SettingMistake> mistakes_of(const HttpConfig& config) {
+  std::vector<SettingMistake> mistakes = mistakes_of(config.server);
+  if (config.method == HttpMethod::get) mistakes.push_back({"method", "it must be post or put"});
   if (config.format == "csv")
     mistakes.push_back(
         {"format", "CSV rows contain neither the topic nor the column names: use json, jsonl, cbor or influx"});

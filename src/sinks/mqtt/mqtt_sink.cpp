@@ -14,7 +14,6 @@
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "net/mqtt_connection.hpp"
-#include "rtdata/data/config_item.hpp"
 #include "sinks/core/peer_config.hpp"
 
 namespace rtdata {
@@ -24,11 +23,6 @@ constexpr const char* what = "cannot make mqtt sink";
 constexpr std::size_t most_under_way = 1000;  // messages in the library, which it may queue
 constexpr std::size_t slot_count = 4096;      // by the lower bits of their numbers
 constexpr unsigned last_number = 65535;
-
-MqttBroker broker_of(const MqttConfig& config) {
-  return {config.host,     config.port, config.version,   config.client_id,      config.user,
-          config.password, config.tls,  config.keepalive, config.connect_timeout};
-}
 
 detail::MqttOptions options_of(const MqttConfig& config) {
   detail::MqttOptions options{.most_sent = static_cast<int>(most_under_way)};
@@ -49,7 +43,7 @@ bool is_refusal(int reason) {
 class Publishing final : public detail::MqttConnection {
  public:
   Publishing(Loop& loop, const MqttConfig& config)
-      : MqttConnection(loop, "sink " + config.sink.name, broker_of(config), options_of(config)),
+      : MqttConnection(loop, "sink " + config.sink.name, config.broker, options_of(config)),
         config_(config),
         good_at_(loop, [this] {
           is_on_trial_ = false;
@@ -364,7 +358,7 @@ std::string obstacle_of_waiting(const MqttConfig& config) {
   if (config.qos == 0) return "with qos 0 the broker confirms no event: set qos 1";
   // The broker says so in its first answer, but the library does not pass that on.
   if (config.qos == 2) return "with qos 2 the broker does not report that there is no subscriber: set qos 1";
-  return config.version == MqttVersion::v311 ? "only version 5 of MQTT reports that there is no subscriber" : "";
+  return config.broker.version == MqttVersion::v311 ? "only version 5 of MQTT reports that there is no subscriber" : "";
 }
 
 /// The mistake in a topic with marks; empty: none.
@@ -378,20 +372,22 @@ std::string obstacle_of_pattern(const std::string& topic) {
   return detail::obstacle_of_topic(topic);
 }
 
+std::vector<detail::SettingMistake> mistakes_of(const MqttConfig& config) {
+  std::vector<detail::SettingMistake> mistakes = detail::mistakes_of(config.broker);
+  const auto add = [&](const char* key, std::string why) {
+    if (!why.empty()) mistakes.push_back({key, std::move(why)});
+  };
+  add("format", detail::obstacle_of_format(config.format));
+  add("topic", obstacle_of_pattern(config.topic));
+  if (config.will) add("will.topic", detail::obstacle_of_topic(config.will->topic));
+  add("wait_for_subscriber", obstacle_of_waiting(config));
+  if (config.qos > 2 || (config.will && config.will->qos > 2)) add("qos", "it is 0, 1 or 2");
+  return mistakes;
+}
+
 std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry& formats) {
   detail::libmosquitto.load().or_throw();
-  detail::require_host(what, config.host, detail::port_of(broker_of(config)));
-  const auto require = [](const std::string& where, const std::string& why) {
-    if (!why.empty()) throw SetupError({Errc::bad_argument, what, where, why, ""});
-  };
-  for (const auto& [key, why] : detail::mistakes_of_client(broker_of(config))) require(key, why);
-  require(config.topic, obstacle_of_pattern(config.topic));
-  if (config.will) require(config.will->topic, detail::obstacle_of_topic(config.will->topic));
-  require("wait_for_subscriber", obstacle_of_waiting(config));
-  if (config.qos > 2 || (config.will && config.will->qos > 2)) require("qos", "it is 0, 1 or 2");
-  if (config.tls) {
-    for (const TlsMistake& mistake : mistakes_of(*config.tls)) require("tls." + mistake.key, mistake.message);
-  }
+  for (const detail::SettingMistake& mistake : mistakes_of(config)) throw mistake.error(what);
   return std::make_unique<MqttSender>(named(config), detail::codec_to_send(what, config.format, formats));
 }
 
@@ -399,16 +395,7 @@ std::unique_ptr<Sender> sender_of(const MqttConfig& config, const CodecRegistry&
 
 void check_config(const MqttConfig& config, const ConfigItem& item, Problems& problems) {
   if (!detail::add_not_installed(detail::libmosquitto.load(), item, problems)) return;
-  detail::add_obstacle(detail::obstacle_of_host(config.host), "host", item, problems);
-  detail::add_obstacle(detail::obstacle_of_format(config.format), "format", item, problems);
-  for (auto& [key, why] : detail::mistakes_of_client(broker_of(config)))
-    detail::add_obstacle(std::move(why), key, item, problems);
-  detail::add_obstacle(obstacle_of_pattern(config.topic), "topic", item, problems);
-  if (config.will) detail::add_obstacle(detail::obstacle_of_topic(config.will->topic), "will", item, problems);
-  detail::add_obstacle(obstacle_of_waiting(config), "wait_for_subscriber", item, problems);
-  if (!config.tls) return;
-  for (const TlsMistake& mistake : mistakes_of(*config.tls))
-    detail::add_obstacle(mistake.key + ": " + mistake.message, "tls", item, problems);
+  detail::add_mistakes(mistakes_of(config), item, problems);
 }
 
 MqttSink::MqttSink(Loop& loop, MqttConfig config, const CodecRegistry& formats)

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "net/tls_mistakes.hpp"
 #include "net/tls_session.hpp"
 #include "net/tls_stream.hpp"
 #include "rtdata/data/config_item.hpp"
@@ -276,8 +277,7 @@ std::unique_ptr<Sender> sender_of(const TcpConfig& config, const CodecRegistry& 
   detail::require_host(cannot_make_tcp, config.host, config.port);
   if (config.tls) {
     detail::load_tls().or_throw();
-    for (const TlsMistake& mistake : mistakes_of(*config.tls))
-      throw SetupError({Errc::bad_argument, cannot_make_tcp, "tls." + mistake.key, mistake.message, ""});
+    for (const detail::SettingMistake& mistake : detail::mistakes_of(*config.tls)) throw mistake.error(cannot_make_tcp);
   }
   auto codec = config.format == "raw" && config.sequence
                    ? make_raw_codec({.sequence = RawConfig::Sequence::include})
@@ -288,13 +288,11 @@ std::unique_ptr<Sender> sender_of(const TcpConfig& config, const CodecRegistry& 
 }  // namespace
 
 void check_config(const TcpConfig& config, const ConfigItem& item, Problems& problems) {
-  detail::add_obstacle(detail::obstacle_of_host(config.host), "host", item, problems);
-  detail::add_obstacle(detail::obstacle_of_format(config.format), "format", item, problems);
+  detail::add_mistake({"host", detail::obstacle_of_host(config.host)}, item, problems);
+  detail::add_mistake({"format", detail::obstacle_of_format(config.format)}, item, problems);
   if (!config.tls) return;
-  const ConfigItem* const tls = item.find("tls");
-  detail::add_not_installed(detail::load_tls(), tls != nullptr ? *tls : item, problems);
-  for (const TlsMistake& mistake : mistakes_of(*config.tls))
-    detail::add_obstacle(mistake.key + ": " + mistake.message, "tls", item, problems);
+  detail::add_not_installed(detail::load_tls(), detail::item_of(item, "tls"), problems);
+  detail::add_mistakes(detail::mistakes_of(*config.tls), item, problems);
 }
 
 TcpSink::TcpSink(Loop& loop, TcpConfig config, const CodecRegistry& formats)

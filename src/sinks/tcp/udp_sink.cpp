@@ -285,8 +285,8 @@ std::unique_ptr<Sender> sender_of(const UdpConfig& config, const CodecRegistry& 
 }  // namespace
 
 void check_config(const UdpConfig& config, const ConfigItem& item, Problems& problems) {
-  detail::add_obstacle(detail::obstacle_of_host(config.host), "host", item, problems);
-  detail::add_obstacle(detail::obstacle_of_format(config.format), "format", item, problems);
+  detail::add_mistake({"host", detail::obstacle_of_host(config.host)}, item, problems);
+  detail::add_mistake({"format", detail::obstacle_of_format(config.format)}, item, problems);
 }
 
 UdpSink::UdpSink(Loop& loop, UdpConfig config, const CodecRegistry& formats)
