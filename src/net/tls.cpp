@@ -35,9 +35,9 @@ std::string obstacle(const std::string& path) {
 
 }  // namespace
 
-std::vector<SettingMistake> mistakes_of(const TlsConfig& config, const std::string& keys_in) {
+std::vector<SettingMistake> mistakes_of(const TlsConfig& config) {
   std::vector<SettingMistake> mistakes;
-  const auto add = [&](const char* key, std::string why) { mistakes.push_back({keys_in + key, std::move(why)}); };
+  const auto add = [&](const std::string& key, std::string why) { mistakes.push_back({"tls." + key, std::move(why)}); };
   const auto look_at = [&](const char* key, const std::string& path) {
     if (path.empty()) return;
     if (const std::string why = obstacle(path); !why.empty()) add(key, "cannot read the file " + path + ": " + why);

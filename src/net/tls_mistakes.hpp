@@ -8,8 +8,7 @@
 
 namespace rtdata::detail {
 
-/// A certificate without a key, a file that cannot be read. Opens the files; sends nothing. `keys_in`: where they are
-/// in the configuration.
-std::vector<SettingMistake> mistakes_of(const TlsConfig& config, const std::string& keys_in = "tls.");
+/// A certificate without a key, a file that cannot be read. Opens the files; sends nothing. Keys: "tls.certificate".
+std::vector<SettingMistake> mistakes_of(const TlsConfig& config);
 
 }  // namespace rtdata::detail
