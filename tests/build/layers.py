@@ -94,6 +94,8 @@ private = {
         "app/run/passing_time.cpp", "app/run/replay.cpp", "app/run/run.cpp"},
     "loop/tier/processors.hpp": {"app/bench/bench.cpp", "app/machine/doctor_rules.cpp"},
     "loop/tier/tier_core.hpp": {"app/control/commands.cpp", "app/control/status_source.cpp"},
+    "net/ip_address.hpp": {"app/page/page_server.cpp"},
+    "net/tls_mistakes.hpp": {"app/page/check_page.cpp"},
     "net/http_url.hpp": {"app/core/shipped_outputs.cpp"},
     "recording/account_text.hpp": {"app/control/account.cpp"},
     "recording/recording_file.hpp": {"app/run/left_backlogs.cpp"},
