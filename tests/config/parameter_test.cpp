@@ -200,7 +200,7 @@ TEST_SUITE("config") {
           "f.json:2:29: parity: expected one of none, even, odd, got the string \"evne\" (did you mean \"even\"?) "
           "[unknown-choice]\n");
     CHECK(mistake("policy", "7") ==
-          "f.json:2:29: policy: expected one of other, fifo, rr, got the number 7 [unknown-choice]\n");
+          "f.json:2:29: policy: expected one of other, fifo, rr, got the number 7 [wrong-type]\n");
     CHECK(mistake("scale", "-1") == "f.json:2:29: scale: -1 is out of range: at least 0 [out-of-range]\n");
     CHECK(mistake("topics", "\"#\"") == "f.json:2:29: topics: expected a list, got the string \"#\" [wrong-type]\n");
     CHECK(mistake("topics", "[\"a\", 1]") ==

@@ -221,7 +221,8 @@ TEST_SUITE("config") {
     Loop loop{Loop::Manual{}};
     const SystemPlan plan = types.planned(R"({"buses": {"w1": {"type": "wire", "device": "x"},
  "w2": {"type": "torn", "device": "/dev/w2"}}, "sensors": [], "sinks": [{"type": "discard"}]})");
-    CHECK(refusal([&] { System(loop, types.registry, plan); }) == "cannot open w2: f.json:2:8: bus w2: /dev/w2 [not-found]");
+    CHECK(refusal([&] { System(loop, types.registry, plan); }) ==
+          "cannot open w2: f.json:2:8: bus w2: /dev/w2 [not-found]");
     CHECK(types.journal == Journal{"make w1", "close w1"});
     CHECK(loop.runtime().sinks().empty());
   }
