@@ -268,7 +268,7 @@ TEST_SUITE("sinks") {
         CHECK(refused(sink) == 4);
         CHECK(sink.counts().balances());
         REQUIRE(errors.size() == 1);
-        CHECK(has(errors[0], "recording has ended: " + path + ": its log, " + log + ", was cut off"));
+        CHECK(has(errors[0], "recording has ended: " + path + ": its WAL file, " + log + ", was cut off"));
         loop.close(1s);
         CHECK(loop.runtime().has_loss());
       }
