@@ -273,36 +273,41 @@ void ReplayNode::give_sources() noexcept {
       try {
         const std::string name = renamed(source.ledger.topic);
         TopicCore* topic = runtime.find_topic(name);
-        if (topic == nullptr) topic = &runtime.topic(name, payload_type<FinalCounts>());  // of which no event comes
+        if (topic == nullptr) {
+          PayloadType type = payload_type<FinalCounts>();
+          type.type_key = &type_key_of<NoEvents>;
+          topic = &runtime.topic(name, std::move(type));
+        }
         origins_.reserve(origins_.size() + 1);
         OriginCore& core = runtime.names.claim(config_.prefix + source.ledger.origin, *topic, supply);
-        origins_.push_back({});
-        origins_.back().core = &core;
+        origins_.push_back({&core, source.ledger, source.segments});
         core.is_mirror = true;
         if (!source.ledger.made_of.empty()) set_made_of(core, renamed(source.ledger.made_of));
         for (const Gap& gap : source.gaps)
           for (Listener* listener : runtime.recorders) listener->on_gap(core, gap);
-        core.counts = counts;
-        for (const Segment& segment : source.segments)
-          for (Listener* listener : runtime.recorders) listener->on_segment(core, segment);
-        core.topic.notify_taps(core);
-      } catch (const SetupError&) {  // something of that name is there, and has an account of its own
+        end_account(origins_.back(), true);
+      } catch (const SetupError& error) {  // something of that name is there, and has an account of its own
+        runtime.log(LogLevel::warning, "replay " + config_.name,
+                    "the account of " + source.ledger.topic + " is not replayed: " + error.error().text());
       }
     });
   }
 }
 
 Result<void> ReplayNode::look_whether_all_came() const {
-  for (const Origin& origin : origins_) {
-    if (!origin.ledger) continue;
-    const LedgerEntry& ledger = *origin.ledger;
-    if (origin.given + ledger.pruned >= ledger.stored) continue;
+  const auto look = [&](const LedgerEntry& ledger, std::uint64_t given) -> Result<void> {
+    if (given + ledger.pruned >= ledger.stored) return {};
     return Error{Errc::bad_data, "cannot replay all of it", config_.file + ", origin " + ledger.origin,
-                 std::to_string(origin.given) + " events are there, and its account says that " +
+                 std::to_string(given) + " events are there, and its account says that " +
                      std::to_string(ledger.stored - ledger.pruned) + " are",
                  "see `rtdata verify`"};
-  }
-  return {};
+  };
+  Result<void> all;
+  for (const Origin& origin : origins_)
+    if (origin.ledger && all) all = look(*origin.ledger, origin.given);
+  for (const Source& source : sources_)
+    if (all) all = look(source.ledger, 0);
+  return all;
 }
 
 void ReplayNode::finish(const Result<void>& came) {

@@ -60,8 +60,9 @@ class ReplayNode final : public SensorEntry, public Deadline {
 
   void choose_topics(const Recording& recording);
   void find_origins(const Recording& recording, RowFilter& filter, std::vector<ReplayOrigin>& known);
-  /// Finds source topics of derived topics whose events are not replayed.
-  void find_sources(const Recording& recording, const std::vector<LedgerEntry>& ledger,
+  /// For a whole run, finds the topics whose accounts are replayed without events: those that have no rows, and sources
+  /// of derived topics that are not chosen. False: some account cannot be replayed.
+  bool find_sources(const Recording& recording, const std::vector<LedgerEntry>& ledger,
                     std::map<std::pair<std::string, std::string>, std::vector<Segment>>& segments);
   std::string renamed(const std::string& topic) const;
   std::vector<std::string> renamed(const std::vector<std::string>& topics) const;
@@ -86,7 +87,7 @@ class ReplayNode final : public SensorEntry, public Deadline {
   /// Checks at the end of a whole run that all events of its accounts were published.
   Result<void> look_whether_all_came() const;
   void end_account(Origin& origin, bool is_complete) noexcept;
-  /// Publishes the accounts of source topics without events, for a whole run.
+  /// Publishes the accounts of topics without events, for a whole run.
   void give_sources() noexcept;
   void report_end(bool is_complete);
 

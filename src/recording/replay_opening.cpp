@@ -14,6 +14,11 @@ namespace {
 
 constexpr Duration no_limit = std::chrono::hours{24 * 365};
 
+/// True if a replay of the whole run gives all that the account counts.
+bool is_account_whole(const LedgerEntry& of) {
+  return of.carried == 0 && of.sensor.published == of.offered && of.offered == of.stored + of.dropped();
+}
+
 }  // namespace
 
 ReplayNode::ReplayNode(LoopCore& loop, ReplayConfig config)
@@ -108,19 +113,17 @@ void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std
   std::map<std::pair<std::string, std::string>, std::vector<Segment>> segments;
   for (RecordedSegment& of : recording.schedule(run_.run).or_throw())
     segments[{of.topic, of.origin}].push_back(of.segment);
-  bool has_all = is_whole;
   std::vector<LedgerEntry> ledger = recording.ledger(run_.run).or_throw();
   const auto chosen = [&](const std::string& name) {
     return std::find_if(topics_.begin(), topics_.end(), [&](const Topic& of) { return of.recorded.topic == name; });
   };
-  if (is_whole) find_sources(recording, ledger, segments);
+  bool has_all = is_whole && find_sources(recording, ledger, segments);
   for (LedgerEntry& entry : ledger) {
     const auto topic = chosen(entry.topic);
     if (topic == topics_.end()) continue;
     ReplayOrigin origin{static_cast<std::size_t>(topic - topics_.begin()), entry.origin};
     auto& of_origin = segments[{entry.topic, entry.origin}];
-    const bool is_replayed = is_whole && entry.carried == 0 && entry.sensor.published == entry.offered &&
-                             entry.offered == entry.stored + entry.dropped();
+    const bool is_replayed = is_whole && is_account_whole(entry);
     has_all = has_all && is_replayed;
     add_origin(origin, is_replayed ? std::optional(std::move(entry)) : std::nullopt, std::move(of_origin));
     known.push_back(std::move(origin));
@@ -134,10 +137,16 @@ void ReplayNode::find_origins(const Recording& recording, RowFilter& filter, std
           ": if you record this replay, the new recording has no schedule, and its gaps have the kind `silent`");
 }
 
-void ReplayNode::find_sources(const Recording& recording, const std::vector<LedgerEntry>& ledger,
+bool ReplayNode::find_sources(const Recording& recording, const std::vector<LedgerEntry>& ledger,
                               std::map<std::pair<std::string, std::string>, std::vector<Segment>>& segments) {
+  const auto is_chosen = [&](const std::string& topic) {
+    return std::any_of(config_.topics.begin(), config_.topics.end(),
+                       [&](const std::string& pattern) { return topic_matches(pattern, topic); });
+  };
   std::set<std::string> given, wanted;
   for (const Topic& topic : topics_) given.insert(topic.recorded.topic);
+  for (const LedgerEntry& entry : ledger)
+    if (is_chosen(entry.topic) && !given.contains(entry.topic)) wanted.insert(entry.topic);
   for (bool has_more = true; has_more;) {
     has_more = false;
     for (const LedgerEntry& entry : ledger) {
@@ -146,19 +155,30 @@ void ReplayNode::find_sources(const Recording& recording, const std::vector<Ledg
         has_more = (!given.contains(source) && wanted.insert(source).second) || has_more;
     }
   }
-  if (wanted.empty()) return;
+  if (wanted.empty()) return true;
+  bool has_all = true;
   const std::vector<RecordedGap> gaps = recording.gaps(run_.run).or_throw();
   for (const LedgerEntry& entry : ledger) {
-    if (!wanted.contains(entry.topic) || entry.carried != 0) continue;
+    if (!wanted.contains(entry.topic)) continue;
+    const bool has_no_rows = is_chosen(entry.topic);
+    if (has_no_rows ? !is_account_whole(entry) : entry.carried != 0) {
+      has_all = false;
+      continue;
+    }
     Source& source = sources_.emplace_back(Source{entry, std::move(segments[{entry.topic, entry.origin}]), {}});
-    SensorCounts& counts = source.ledger.sensor;
-    counts.filtered += std::exchange(counts.published, 0);  // no event of it is given
+    if (!has_no_rows) {  // what was recorded of it is not given
+      SensorCounts& counts = source.ledger.sensor;
+      counts.filtered += std::exchange(counts.published, 0);
+      source.ledger.first_sequence = source.ledger.last_sequence = 0;
+      source.ledger.stored = source.ledger.pruned = 0;
+    }
     for (const RecordedGap& gap : gaps) {
       const auto kind = gap_kind(gap.kind);
       if (kind && gap.topic == entry.topic && gap.origin == entry.origin)
         source.gaps.push_back({*kind, kept_reason(gap.reason), gap.first, gap.last, gap.count});
     }
   }
+  return has_all;
 }
 
 void ReplayNode::add_origin(const ReplayOrigin& found, std::optional<LedgerEntry> ledger,

@@ -57,6 +57,17 @@ std::string table_name(const std::string& topic, std::int64_t version) {
   return name;
 }
 
+/// True if it is the table of a topic, whatever the case of its letters.
+bool is_of_topic(const Database& database, const std::string& name) {
+  // Found in memory first, where a query would go through all topics.
+  if (sqlite3_table_column_metadata(database.raw(), "main", name.c_str(), nullptr, nullptr, nullptr, nullptr, nullptr,
+                                    nullptr) != SQLITE_OK)
+    return false;
+  auto known = database.prepare("SELECT EXISTS(SELECT 1 FROM rtdata_topic WHERE table_name = ? COLLATE NOCASE)");
+  known.bind(1, name).step();
+  return known.integer(0) != 0;
+}
+
 void make_table(Database& database, const std::string& name, const Description& description) {
   std::string sql = "CREATE TABLE " + quoted(name) +
                     "(run INTEGER NOT NULL, time INTEGER NOT NULL, origin TEXT NOT NULL, sequence INTEGER NOT NULL, " +
@@ -180,7 +191,9 @@ TopicTable TopicTable::prepare(Database& database, const SlotInfo& slot, std::in
   const bool is_new = name.empty();
   if (is_new) {
     version = last_version + 1;
-    name = table_name(slot.topic, version);
+    // SQLite takes names that differ in case only as the same: the table of "Room" is "Room~2" beside that of "room".
+    for (std::int64_t number = version; name.empty() || is_of_topic(database, name); ++number)
+      name = table_name(slot.topic, number);
     NewUtcViews::look_for_room(database, name);
     make_table(database, name, description);
     auto insert = database.prepare(

@@ -1,10 +1,15 @@
 // rtdata import: somebody's tables become recordings that verify, and say what they could not take.
 #include <doctest/doctest.h>
+#include <sqlite3.h>
+#include <sys/mount.h>
 
 #include <algorithm>
+#include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <nlohmann/json.hpp>
+#include <thread>
 
 #include "app/process.hpp"
 #include "has.hpp"
@@ -321,6 +326,81 @@ TEST_SUITE("app") {
     refuses({".", "--time", "t"}, "");
     for (const auto& entry : std::filesystem::directory_iterator(folder.path()))
       CHECK(entry.path().extension() == ".csv");
+  }
+
+  TEST_CASE("FW-5 import: a table that is changed while it is read leaves no run, and the runs before it stay") {
+    const Folder folder;
+    std::string rows = "t,v\n";
+    for (int i = 0; i < 20'000; ++i) rows += std::to_string(i) + "," + std::to_string(i) + "\n";
+    folder.write("a.csv", rows);
+    Process first(folder, program, {"import", "a.csv", "--time", "t"});
+    CHECK(first.end() == 0);
+    const std::string path = folder.path() + "/a.db";
+    // The import has read the table once when it has locked the recording, and waits for the transaction to read again.
+    sqlite3* database = nullptr;
+    REQUIRE(sqlite3_open(path.c_str(), &database) == SQLITE_OK);
+    REQUIRE(sqlite3_exec(database, "BEGIN IMMEDIATE", nullptr, nullptr, nullptr) == SQLITE_OK);
+    Process second(folder, program, {"import", "a.csv", "--time", "t"});
+    const auto give_up = std::chrono::steady_clock::now() + std::chrono::minutes{1};
+    while (!folder.has("a.db-lock") && std::chrono::steady_clock::now() < give_up) std::this_thread::yield();
+    std::filesystem::resize_file(folder.path() + "/a.csv", rows.size() / 2);
+    CHECK(sqlite3_exec(database, "ROLLBACK", nullptr, nullptr, nullptr) == SQLITE_OK);
+    sqlite3_close(database);
+    CHECK(second.end() == 1);
+    CHECK_MESSAGE(has(second.err, "the file has changed while it was read: try again; nothing was imported\n"),
+                  second.err);
+    CHECK(Recording::open(path).or_throw().runs().or_throw().size() == 1);
+    check_verifies(folder, "a.db");
+  }
+
+  TEST_CASE("FW-5 import: on a disk that is small or full, a table is there as a whole or not at all") {
+    const Folder folder;
+    const std::string disk = folder.path() + "/disk";
+    std::filesystem::create_directory(disk);
+    if (::mount("none", disk.c_str(), "tmpfs", 0, "size=4m") != 0) {
+      MESSAGE("skipped: mounting a small disk is not permitted here");
+      return;
+    }
+    std::string rows = "t,v\n";
+    for (int i = 0; i < 12'000; ++i) rows += std::to_string(i) + "," + std::to_string(i * 1.1) + "\n";
+    folder.write("a.csv", rows);
+    const std::vector<std::string> arguments{"import", "a.csv", "--time", "t", "--into", "disk/a.db"};
+    {
+      Process import(folder, program, arguments);
+      CHECK_MESSAGE(import.end() == 0, import.err);
+      CHECK_MESSAGE(has(import.err, "rtdata: warning: space runs out: disk/a.db: "), import.err);
+      check_verifies(folder, "disk/a.db");
+    }
+    const auto fill = [&](std::uint64_t left) {
+      std::ofstream ballast(disk + "/ballast");
+      const std::string block(4096, 'x');
+      while (ballast && std::filesystem::space(disk).available > left) ballast << block << std::flush;
+    };
+    std::filesystem::remove(disk + "/a.db");
+    fill(300'000);
+    {
+      Process import(folder, program, arguments);
+      CHECK(import.end() == 1);
+      CHECK_MESSAGE(has(import.err, "; nothing was imported\n"), import.err);
+      CHECK_FALSE(folder.has("disk/a.db"));
+    }
+    std::filesystem::remove(disk + "/ballast");
+    {  // beside a run that stays
+      folder.write("b.csv", "t,v\n0,1\n");
+      Process small(folder, program, {"import", "b.csv", "--time", "t", "--topic", "a", "--into", "disk/a.db"});
+      CHECK(small.end() == 0);
+      fill(300'000);
+      Process import(folder, program, arguments);
+      CHECK(import.end() == 1);
+      Process verify(folder, program, {"verify", "disk/a.db", "--json"});
+      (void)verify.end();
+      const auto runs = nlohmann::json::parse(verify.out)["runs"];
+      const bool is_gone = has(import.err, "; nothing was imported\n");
+      CHECK_MESSAGE(is_gone != has(import.err, "a part of its rows is left as run 2 ("), import.err);
+      CHECK(runs.size() == (is_gone ? 1 : 2));
+      if (!is_gone) CHECK_MESSAGE(!has(runs[1].dump(), "nothing lost"), verify.out);
+    }
+    CHECK(::umount(disk.c_str()) == 0);
   }
 
   TEST_CASE("FW-5 import: other separators, decimal commas and times with a blank; who does not say them is told how") {

@@ -504,7 +504,7 @@ TEST_SUITE("loop") {
     CHECK_THROWS_AS(loop.topic<Number>("a b"), SetupError);
     CHECK_THROWS_AS((void)loop.subscribe("a#", [](const EventView&) {}), SetupError);
     loop.topic<Number>("room");
-    CHECK_THROWS_AS(loop.topic<Number>("Room"), SetupError);
+    CHECK(loop.topic<Number>("Room").name() == "Room");  // another one
   }
 
   TEST_CASE("a second payload on a topic is refused, naming both") {

@@ -8,6 +8,7 @@
 #include <map>
 
 #include "rtdata/loop/runtime.hpp"
+#include "rtdata/sinks/file.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;
@@ -285,6 +286,72 @@ TEST_CASE("FW-5 what a recording dropped is dropped again, and counted") {
                "SELECT stored, dropped_newest, first_sequence, last_sequence FROM rtdata_ledger"
                " WHERE origin = 'room'") == "993|6|1|999|\n");
   CHECK(listed(copy, gaps) == listed(path, gaps));
+}
+
+TEST_CASE(
+    "FW-5 a replay of a whole run has the account of topics without rows: of those that are chosen, said if not") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    loop.on_error([](const ErrorReport&) {});
+    const SqliteSink sink(loop, {.path = path});
+    const auto fails = []() -> Result<Climate> { return Error{Errc::io_failed, "no answer", "", "", ""}; };
+    const Sensor<Climate> mute(loop, {.name = "mute", .rate = 10_Hz}, fails),
+        old(loop, {.name = "probe", .topic = "old/probe", .rate = 10_Hz}, fails);
+    Feed<Kelvin> feed(loop, {.name = "feed"}), line(loop, {.name = "line"}), dropped(loop, {.name = "dropped"});
+    line.fault({Errc::disconnected, "cannot hear", "", "it is gone", ""});
+    for (int i = 0; i < 20; ++i) {
+      feed.publish({1.0 * i});
+      dropped.publish({1.0 * i});
+      loop.advance(100ms);
+    }
+    loop.close();
+  }
+  written_as(path,
+             "DELETE FROM dropped; DROP TABLE IF EXISTS \"dropped~1s\"; DROP TABLE IF EXISTS \"dropped~1min\";"
+             "UPDATE rtdata_ledger SET stored = 0, dropped_oldest = 20, seconds_from = 0, minutes_from = 0"
+             " WHERE origin = 'dropped';");
+  const auto lines_of = [](const std::string& recording) {
+    const RunReport run = check_balanced(recording).runs.at(0);
+    std::string lines;
+    for (const std::string& line : run.lines) lines += line + "\n";
+    return lines;
+  };
+  const std::string lost = lines_of(path);
+  CHECK_MESSAGE(lost.find("21 ticks of mute (failed 21)") != std::string::npos, lost);
+  const std::string copy = copied(folder, path);
+  CHECK(lines_of(copy) == lost);
+  for (const char* query : {account, schedule, gaps}) CHECK(listed(copy, query) == listed(path, query));
+  CHECK(listed(copy, "SELECT dropped_newest FROM rtdata_ledger WHERE origin = 'dropped'") == "20|\n");
+  const std::string second = copied(folder, copy, {}, "second.db");
+  CHECK(lines_of(second) == lost);
+
+  const std::string part = copied(folder, path, {.topics = {"feed", "old/#"}, .rename = {"old=new"}}, "part.db");
+  check_balanced(part);
+  CHECK(listed(part, "SELECT topic, failed FROM rtdata_ledger ORDER BY topic") == "feed|0|\nnew/probe|21|\n");
+
+  {  // a file sink has no account, and so does not take them
+    Again again(path);
+    FileSink sink(again.loop, {.path = folder / "all.csv", .format = "csv", .sink = {.topics = {"#"}}});
+    Replay replay(again.loop, {.file = path});
+    again.finish(replay);
+    CHECK(sink.health() == Health::ok);
+    CHECK(again.loop.close() == 0);
+    CHECK(again.errors == "");
+  }
+  {  // one that cannot be given is told
+    Again again(path);
+    const Feed<Climate> taken(again.loop, {.name = "mute"});
+    Replay replay(again.loop, {.file = path});
+    again.finish(replay);
+    CHECK_MESSAGE(again.log.find("the account of mute is not replayed: ") != std::string::npos, again.log);
+  }
+  written_as(path, "UPDATE rtdata_ledger SET offered = 19, dropped_oldest = 19 WHERE origin = 'dropped'");
+  Again again(path);
+  Replay replay(again.loop, {.file = path});
+  again.finish(replay);
+  CHECK_MESSAGE(again.log.find("it is not replayed as a whole") != std::string::npos, again.log);
 }
 
 TEST_CASE("FW-5 a replay that is stopped early says so, and what it gave is recorded") {

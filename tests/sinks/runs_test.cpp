@@ -590,6 +590,26 @@ TEST_SUITE("sinks") {
     CHECK(number(merged, "SELECT count(*) FROM rtdata_position") == 0);
   }
 
+  TEST_CASE("US-26 topics that differ in case only are merged, each in a table of its own") {
+    const Folder folder;
+    std::vector<std::string> sources;
+    for (const std::string topic : {"room", "Room", "ROOM"}) {
+      sources.push_back(folder / (topic + ".db"));
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = sources.back()});
+      Feed<Number> feed(loop, {.name = "feed", .topic = topic});
+      feed.publish({1});
+      CHECK(loop.close() == 0);
+    }
+    const std::string merged = folder / "all.db";
+    const auto report = merge(sources, merged);
+    REQUIRE_MESSAGE(report, report.error().text());
+    check_good(merged);
+    CHECK(values_of(merged, "SELECT topic || ' ' || table_name FROM rtdata_topic ORDER BY first_run") ==
+          std::vector<std::string>{"room room", "Room Room~2", "ROOM ROOM~3"});
+    CHECK(number(merged, "SELECT count(*) FROM \"Room~2\"") == 1);
+  }
+
   TEST_CASE("merge refuses what it cannot do, and leaves nothing behind") {
     const Folder folder;
     const std::string a = make_runs(folder, {"one"}, "a.db"), merged = folder / "all.db";
@@ -611,16 +631,6 @@ TEST_SUITE("sinks") {
     std::filesystem::copy_file(a, folder / "cut.db");
     std::filesystem::resize_file(folder / "cut.db", std::filesystem::file_size(a) / 2);
     CHECK(refusal({folder / "cut.db"}, merged).front() == '2');
-    // Topics that differ in case only are one table to SQLite.
-    {
-      Loop loop{Loop::Manual{}};
-      SqliteSink sink(loop, {.path = folder / "case.db"});
-      Feed<Number> feed(loop, {.name = "feed", .topic = "A"});
-      feed.publish({1});
-      loop.advance(1s);
-      CHECK(loop.close() == 0);
-    }
-    CHECK(has(refusal({a, folder / "case.db"}, merged), "cannot merge topic A"));
     for (const auto& entry : std::filesystem::directory_iterator(folder / ""))
       CHECK_MESSAGE(!has(entry.path().string(), "all.db"), entry.path());
     check_good(a);
@@ -775,5 +785,39 @@ TEST_SUITE("sinks") {
     CHECK(has(compared("", "", "hod").err, "did you mean \"hot\"?"));
     CHECK(compared("", "", "hod").status == 1);
     CHECK(told(app::compare, {.database = folder / "none.db", .first = "1", .second = "2"}).status == 2);
+  }
+
+  TEST_CASE("NFR-5 two runs are compared with what a topic lost in a run without an event of it") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    for (const bool gives_some : {false, true}) {
+      Loop loop{Loop::Manual{}};
+      loop.on_error([](const ErrorReport&) {});
+      const SqliteSink sink(loop, {.path = path});
+      Feed<Number> feed(loop, {.name = "load"});
+      feed.publish({1});
+      const auto failing = [&](const char* name, bool gives) {
+        return Sensor<Number>(loop, {.name = name, .rate = 10_Hz, .faulted_after = 1000}, [=]() -> Result<Number> {
+          if (gives) return Number{1};
+          return Error{Errc::io_failed, "no answer", "", "", ""};
+        });
+      };
+      const Sensor<Number> adc = failing("adc", gives_some), mute = failing("mute", false);
+      loop.advance(1s);
+      CHECK(loop.close() == 0);
+    }
+    const Told both = told(app::compare, {.database = path, .first = "1", .second = "2"});
+    for (const char* part : {"\nadc: 0 and ", "\n  1: in the whole run the topic lost 11 ticks\n  field",
+                             "\nmute: 0 and 0 events\n  1: in the whole run the topic lost 11 ticks\n"
+                             "  2: in the whole run the topic lost 11 ticks\n"})
+      CHECK_MESSAGE(has(both.out, part), both.out);
+    const auto json = nlohmann::json::parse(
+        told(app::compare, {.database = path, .first = "1", .second = "2", .show_as = app::ShowAs::json}).out);
+    REQUIRE(json["topics"].size() == 3);
+    CHECK(json["topics"][0]["lost"] == nlohmann::json::parse(R"(["11 ticks", ""])"));
+    CHECK(json["topics"][2] == nlohmann::json::parse(R"({"topic": "mute", "origin": "", "events": [0, 0],
+        "lost": ["11 ticks", "11 ticks"], "fields": []})"));
+    const Told one = told(app::compare, {.database = path, .first = "1", .second = "1"});
+    CHECK_MESSAGE(has(one.out, "\nmute: 0 and 0 events\n"), one.out);
   }
 }

@@ -21,6 +21,11 @@ using namespace std::chrono_literals;
 
 namespace {
 
+struct Word {
+  text<8> word;
+  RTDATA_FIELDS(Word, (word))
+};
+
 std::uint64_t refused(const Sink& sink) { return sink.counts().dropped[static_cast<std::size_t>(DropReason::refused)]; }
 
 void publish(Loop& loop, const char* topic, int count) {
@@ -157,6 +162,40 @@ TEST_SUITE("sinks") {
     CHECK(report.runs.back().rows == 3 * topics.size());
   }
 
+  TEST_CASE("topics that differ in case only are recorded into one file, each with its own fields and versions") {
+    const Directory directory;
+    const std::string path = directory / "run.db";
+    for (const std::vector<std::string>& topics : {std::vector<std::string>{"room"}, {"Room", "room"}, {"ROOM"}}) {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path});
+      for (const std::string& topic : topics) publish(loop, topic.c_str(), 3);
+      loop.advance(2s);
+      CHECK(sink.health() == Health::ok);
+      CHECK(refused(sink) == 0);
+      CHECK(loop.close(1s) == 0);
+    }
+    {
+      Loop loop{Loop::Manual{}};
+      SqliteSink sink(loop, {.path = path});
+      Feed<Word> feed(loop, {.name = "feed", .topic = "room"});  // which has other fields now
+      feed.publish({});
+      CHECK(loop.close(1s) == 0);
+    }
+    const Recording recording = Recording::open(path).or_throw();
+    const VerifyReport report = verify(recording).or_throw();
+    CHECK_MESSAGE(report.exit_code() == 0, report.text());
+    std::string all;
+    for (const RecordedTopic& topic : recording.topics().or_throw())
+      all += topic.topic + " " + std::to_string(topic.version) + " " + topic.table + "\n";
+    CHECK(all == "ROOM 1 ROOM~3\nRoom 1 Room~2\nroom 1 room\nroom 2 room~4\n");
+    for (const auto& [topic, rows] : {std::pair("room", 7), {"Room", 3}, {"ROOM", 3}}) {
+      Rows of = recording.rows({.topic = topic}).or_throw();
+      int count = 0;
+      for (; const RecordedRow* const row = of.next().or_throw(); ++count) CHECK(row->event().topic() == topic);
+      CHECK(count == rows);
+    }
+  }
+
   TEST_CASE(
       "a recording that is deleted or moved while it is written is told at the next commit, and what comes is "
       "refused") {
@@ -229,7 +268,7 @@ TEST_SUITE("sinks") {
         CHECK(refused(sink) == 4);
         CHECK(sink.counts().balances());
         REQUIRE(errors.size() == 1);
-        CHECK(has(errors[0], "recording has ended: " + path + ": its log, " + log + ", was cut off"));
+        CHECK(has(errors[0], "recording has ended: " + path + ": its WAL file, " + log + ", was cut off"));
         loop.close(1s);
         CHECK(loop.runtime().has_loss());
       }

@@ -104,7 +104,11 @@ Time instant_of(const Recording& recording, const RunInfo& run, const std::strin
          "choose another instant");
 }
 
-void read_side(const Recording& recording, const Side& side, std::size_t which, std::map<Key, Part>& parts) {
+/// The losses of each topic in the whole of both runs.
+using Losses = std::map<std::string, std::array<std::string, 2>>;
+
+void read_side(const Recording& recording, const Side& side, std::size_t which, std::map<Key, Part>& parts,
+               Losses& losses) {
   std::set<std::string> topics;
   for (const RecordedTopic& topic : recording.topics().or_throw()) topics.insert(topic.topic);
   for (const std::string& topic : topics) {
@@ -130,8 +134,17 @@ void read_side(const Recording& recording, const Side& side, std::size_t which, 
     if (loss.ticks() != 0)
       text += (text.empty() ? "" : ", ") + std::to_string(loss.ticks()) + (loss.ticks() == 1 ? " tick" : " ticks");
     if (loss.outages.number != 0) text += (text.empty() ? "" : ", ") + to_string(loss.outages);
+    losses[loss.topic][which] = text;
+  }
+}
+
+/// A topic that lost something and has no event is a part of its own, without an origin.
+void add_losses(const Losses& losses, std::map<Key, Part>& parts) {
+  for (const auto& [topic, lost] : losses) {
+    const auto first = parts.lower_bound({topic, ""});
+    if (first == parts.end() || first->first.first != topic) parts[{topic, ""}];
     for (auto& [key, part] : parts)
-      if (key.first == loss.topic) part.lost[which] = text;
+      if (key.first == topic) part.lost = lost;
   }
 }
 
@@ -151,8 +164,9 @@ void print(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, s
   out << "1: " << title_of(sides[0]) << "\n2: " << title_of(sides[1]) << "\n";
   for (const auto& [key, part] : parts) {
     out << "\n"
-        << key.first << (key.second == key.first ? "" : " of " + key.second) << ": " << part.events[0] << " and "
-        << part.events[1] << " events\n";
+        << (key.first.empty() ? "sensors that had only begun" : key.first)
+        << (key.second == key.first || key.second.empty() ? "" : " of " + key.second) << ": " << part.events[0]
+        << " and " << part.events[1] << " events\n";
     for (std::size_t i = 0; i < 2; ++i)
       if (!part.lost[i].empty()) out << "  " << i + 1 << ": in the whole run the topic lost " << part.lost[i] << "\n";
     Table table({"field", "", ">least", ">mean", ">largest"});
@@ -166,7 +180,8 @@ void print(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, s
     }
     if (!table.empty()) out << table.text("  ", 80);
   }
-  if (parts.empty()) out << "\nNeither of the two runs has an event.\n";
+  const auto has_none = [](const auto& of) { return of.second.events[0] + of.second.events[1] == 0; };
+  if (std::all_of(parts.begin(), parts.end(), has_none)) out << "\nNeither of the two runs has an event.\n";
 }
 
 void print_json(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, std::ostream& out) {
@@ -210,14 +225,16 @@ int compare(const CompareOptions& options, std::ostream& out, std::ostream& err)
   const std::vector<RunInfo> runs = recording.runs().or_throw();
   std::array<Side, 2> sides;
   std::map<Key, Part> parts;
+  Losses losses;
   for (std::size_t i = 0; i < sides.size(); ++i) {
     Side& side = sides[i];
     side.info = find_run(runs, i == 0 ? options.first : options.second, recording.path()).or_throw();
     side.from = instant_of(recording, side.info, options.from);
     if (length) side.until = side.from + *length;
     side.from_utc = to_iso8601(recording.utc_line(side.info.run).or_throw().utc(side.from));
-    read_side(recording, side, i, parts);
+    read_side(recording, side, i, parts, losses);
   }
+  add_losses(losses, parts);
   options.show_as == ShowAs::json ? print_json(sides, parts, out) : print(sides, parts, out);
   return 0;
 } catch (const SetupError& error) {

@@ -1,4 +1,6 @@
 // rtdata import: makes a recording from a table, to verify, read and export it like any other recording.
+#include <unistd.h>
+
 #include <algorithm>
 #include <cctype>
 #include <cmath>
@@ -7,6 +9,7 @@
 #include <optional>
 #include <ostream>
 #include <span>
+#include <string>
 #include <string_view>
 #include <utility>
 #include <vector>
@@ -26,6 +29,7 @@
 #include "rtdata/loop/clock.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/runtime.hpp"
+#include "rtdata/recording/runs.hpp"
 #include "rtdata/recording/sqlite.hpp"
 #include "rtdata/sensors/feed.hpp"
 
@@ -436,58 +440,118 @@ Found look_at(const ImportOptions& options, const ImportNotation& notation) {
   return found;
 }
 
-/// Records the rows and returns their number. `moved`: how many got a later time than in the file.
-std::uint64_t record(const ImportOptions& options, const Found& found, const ImportNotation& notation,
-                     std::uint64_t& moved) {
+/// What happens while rows are recorded.
+struct Recorded {
+  std::uint64_t moved = 0;  // rows that got a later time than in the file
+  std::vector<Error> told;  // warnings of the recording
+};
+
+std::vector<RunInfo> runs_in(const std::string& database) {
+  const auto recording = Recording::open(database);
+  auto runs = recording ? recording->runs() : Result<std::vector<RunInfo>>(std::vector<RunInfo>{});
+  return runs ? *std::move(runs) : std::vector<RunInfo>{};
+}
+
+void record_rows(const ImportOptions& options, const Found& found, const ImportNotation& notation, Recorded& recorded) {
   ManualClock clock(found.first - Duration{1});
   Runtime runtime({.name = std::filesystem::path(options.file).filename().string(), .clock = &clock});
   Loop loop(runtime, {.name = "import"});
   std::optional<Error> failed;
+  SqliteSink sink;
   loop.on_error([&](const ErrorReport& report) {
-    if (!failed) failed = report.error;
+    if (sink.health() != Health::faulted) {
+      recorded.told.push_back(report.error);
+    } else if (!failed) {
+      failed = report.error;
+    }
   });
   // Made first, so that a wrong name is refused before there is a file.
   AnyFeed feed(loop, {.name = options.origin, .topic = options.topic}, found.description);
   // Virtual time passes as fast as possible, so batches are limited by memory, not by time.
-  SqliteSink sink(loop, {.path = options.database, .sink = {.batch_time = std::chrono::hours{1}}});
-  ImportRows table(options.file, notation);
-  std::vector<detail::CsvCell> cells;
-  std::vector<std::size_t> time_columns;
-  (void)begin_table(table, options, notation, time_columns);
-  const auto changed = [&] { refuse_import(table.where(), "the file has changed while it was read", "try again"); };
-  ImportClock times(notation);
-  Time last = found.first - Duration{1};
-  std::vector<std::byte> payload;
-  for (std::uint64_t row = 0; row < found.rows;) {
-    if (!found.places.empty()) table.go_to(found.places[row].position, found.places[row].line);
-    if (!table.next(cells).or_throw()) changed();
-    if (!is_of_columns(cells, found.columns)) {
-      if (!notation.takes_partial || cells.size() > found.columns.size()) changed();
-      cells.resize(found.columns.size());
+  sink = SqliteSink(loop, {.path = options.database, .sink = {.batch_time = std::chrono::hours{1}}});
+  std::uint64_t published = 0;
+  try {
+    ImportRows table(options.file, notation);
+    std::vector<detail::CsvCell> cells;
+    std::vector<std::size_t> time_columns;
+    (void)begin_table(table, options, notation, time_columns);
+    const auto changed = [&] { refuse_import(table.where(), "the file has changed while it was read", "try again"); };
+    ImportClock times(notation);
+    Time last = found.first - Duration{1};
+    std::vector<std::byte> payload;
+    for (std::uint64_t row = 0; row < found.rows;) {
+      if (!found.places.empty()) table.go_to(found.places[row].position, found.places[row].line);
+      if (!table.next(cells).or_throw()) changed();
+      if (!is_of_columns(cells, found.columns)) {
+        if (!notation.takes_partial || cells.size() > found.columns.size()) changed();
+        cells.resize(found.columns.size());
+      }
+      if (is_without_time(cells, found, notation)) continue;
+      ++row;
+      const auto time = times.read(time_text(cells, found));
+      if (!time || *time < found.first || *time > found.last) changed();
+      payload.assign(found.description->size(), std::byte{0});
+      std::size_t leaf = 0;
+      for (std::size_t i = 0; i < cells.size(); ++i) {
+        if (found.columns[i].is_time || !found.columns[i].has_any) continue;
+        const Value value = value_of(found.columns[i], cells[i]);
+        if (!write(found.description->leaves()[leaf++], payload.data(), value)) changed();
+      }
+      // As in the feed: times of one origin must increase.
+      const Time given = std::max(*time, last + Duration{1});
+      if (given != *time) ++recorded.moved;
+      loop.advance(given - last);
+      last = given;
+      feed.publish_bytes(payload, given);
+      ++published;
+      if (failed) throw SetupError(*failed);
     }
-    if (is_without_time(cells, found, notation)) continue;
-    ++row;
-    const auto time = times.read(time_text(cells, found));
-    if (!time || *time < found.first || *time > found.last) changed();
-    payload.assign(found.description->size(), std::byte{0});
-    std::size_t leaf = 0;
-    for (std::size_t i = 0; i < cells.size(); ++i) {
-      if (found.columns[i].is_time || !found.columns[i].has_any) continue;
-      const Value value = value_of(found.columns[i], cells[i]);
-      if (!write(found.description->leaves()[leaf++], payload.data(), value)) changed();
-    }
-    // As in the feed: times of one origin must increase.
-    const Time given = std::max(*time, last + Duration{1});
-    if (given != *time) ++moved;
-    loop.advance(given - last);
-    last = given;
-    feed.publish_bytes(payload, given);
-    if (failed) throw SetupError(*failed);
+    const std::uint64_t lost = loop.close();
+    const std::vector<RunInfo> runs = runs_in(options.database);
+    const bool is_whole = lost == 0 && !runs.empty() && runs.back().state == RunState::closed;
+    if (!is_whole && !failed && !recorded.told.empty()) failed = recorded.told.back();
+    if (!is_whole)
+      throw SetupError(failed ? *failed : import_refused(options.database, "its rows could not be stored", ""));
+  } catch (...) {  // a run that cannot be deleted says what it lacks
+    feed.set_numbered();
+    feed.lost(found.rows - published);
+    loop.close();
+    throw;
   }
-  if (const std::uint64_t lost = loop.close(); lost > 0 || failed)
-    throw SetupError(failed ? *failed
-                            : import_refused(options.database, std::to_string(lost) + " rows could not be stored", ""));
-  return found.rows;
+}
+
+/// Deletes the run of an import that failed; together with the file if the import has made it. Returns what is left;
+/// empty: nothing.
+std::string left_after(const std::string& database, bool is_made, std::int64_t last_before) {
+  const std::vector<RunInfo> runs = runs_in(database);
+  if (runs.empty() || runs.back().run <= last_before || runs.back().pid != ::getpid()) return "";
+  std::error_code failed;
+  if (is_made && runs.size() == 1) {
+    for (const char* const ending : {"", "-wal", "-shm", "-lock"}) std::filesystem::remove(database + ending, failed);
+    if (!std::filesystem::exists(database, failed)) return "";
+  }
+  if (runs.back().state == RunState::recording) (void)rtdata::seal(database);  // otherwise deleting it says why
+  const auto deleted = delete_run(database, runs.back().run, Unsent::discarded);
+  if (deleted) return "";
+  const std::string run = std::to_string(runs.back().run);
+  return "a part of its rows is left as run " + run + " (" + deleted.error().why + "): delete it with `rtdata rm " +
+         database + " " + run + "`";
+}
+
+Recorded record(const ImportOptions& options, const Found& found, const ImportNotation& notation) {
+  std::error_code ignored;
+  const bool is_made = !std::filesystem::exists(options.database, ignored);
+  const std::vector<RunInfo> before = runs_in(options.database);
+  Recorded recorded;
+  try {
+    record_rows(options, found, notation, recorded);
+    return recorded;
+  } catch (const SetupError& error) {
+    Error why = error.error();
+    const std::string left = left_after(options.database, is_made, before.empty() ? 0 : before.back().run);
+    why.advice += (why.advice.empty() ? "" : "; ") + (left.empty() ? std::string("nothing was imported") : left);
+    throw SetupError(std::move(why));
+  }
 }
 
 /// Throws SetupError: bad-argument, with the option.
@@ -568,7 +632,7 @@ bool is_another_time(const ImportColumn& column, const ImportColumn& time) {
 
 /// Warns of values that differ from the table, or that may not be as intended.
 void tell_warnings(std::ostream& err, const ImportOptions& options, const Found& found, const ImportNotation& notation,
-                   std::uint64_t moved) {
+                   const Recorded& recorded) {
   const auto warn = [&](const std::string& text) { err << "rtdata: warning: " << text << "\n"; };
   const auto rows = [](std::uint64_t count) { return std::to_string(count) + (count == 1 ? " row" : " rows"); };
   for (const ImportColumn& column : found.columns) {
@@ -646,9 +710,10 @@ void tell_warnings(std::ostream& err, const ImportOptions& options, const Found&
   if (found.twice > 0)
     warn(rows(found.twice) + (found.twice == 1 ? " is" : " are") + " in an hour that comes twice in " + notation.zone +
          "; each is taken as the first that is not before the row above");
-  if (moved > 0)
+  if (const std::uint64_t moved = recorded.moved; moved > 0)
     warn(rows(moved) + (moved == 1 ? " was" : " were") +
          " not later than the row before; each got a time 1 ns after the row before");
+  for (const Error& error : recorded.told) warn(error.text());
 }
 
 }  // namespace
@@ -665,15 +730,15 @@ int import_table(const ImportOptions& options, std::ostream& out, std::ostream& 
   if (named.origin.empty()) named.origin = stem;
   if (named.database.empty()) named.database = std::filesystem::path(options.file).replace_extension(".db").string();
   const Found found = look_at(named, notation);
-  std::uint64_t moved = 0;
-  const std::uint64_t rows = record(named, found, notation, moved);
+  const Recorded recorded = record(named, found, notation);
+  const std::uint64_t rows = found.rows;
   out << named.database << ": " << rows << (rows == 1 ? " row" : " rows") << " of " << named.file << " on topic "
       << named.topic << ", from " << to_iso8601(found.first) << " to " << to_iso8601(found.last) << "\n";
   for (std::size_t i = 0; i < found.columns.size(); ++i) {
     const ImportColumn& column = found.columns[i];
     out << "  " << column.heading << ": " << (column.is_time ? "the time" : column.name + ", " + column.type()) << "\n";
   }
-  tell_warnings(err, options, found, notation, moved);
+  tell_warnings(err, options, found, notation, recorded);
   return 0;
 } catch (const SetupError& error) {
   print_error(err, error.error());

@@ -17,6 +17,9 @@ class LoopCore;
 class OriginCore;
 class RuntimeCore;
 
+/// The `type_key` of a topic of which a replay gives only the account: recordings alone take it.
+struct NoEvents;
+
 /// A sink's attachment to a topic. Copies each event when it is published.
 class Tap {
  public:

@@ -4,7 +4,6 @@
 #include <utility>
 
 #include "data/first_line.hpp"
-#include "data/lower_case.hpp"
 #include "data/name.hpp"
 #include "loop/core/fatal.hpp"
 #include "loop/core/loop_core.hpp"
@@ -103,10 +102,6 @@ TopicCore& RuntimeCore::find_or_make_topic(std::string_view name, PayloadType ty
   if (!is_topic_name(name)) {
     throw SetupError({Errc::bad_name, "cannot make topic", "\"" + std::string(name) + "\"", "not a topic name",
                       "use letters, digits, _ . - in levels joined by /, such as \"room/climate\""});
-  }
-  if (const auto [other, is_new] = name_by_lower_case_.try_emplace(lower_case(name), name); !is_new) {
-    throw SetupError({Errc::bad_name, "cannot make topic", std::string(name),
-                      "topic " + other->second + " differs from it in case only", "choose another name"});
   }
   topics_.push_back(std::make_unique<TopicCore>(*this, std::string(name), std::move(type)));
   TopicCore& made = *topics_.back();

@@ -166,7 +166,6 @@ class RuntimeCore {
   std::vector<std::string> recorded_;  // in recordings
   std::vector<std::unique_ptr<TopicCore>> topics_;
   std::unordered_map<std::string_view, TopicCore*> topic_by_name_;
-  std::unordered_map<std::string, std::string> name_by_lower_case_;
   std::unordered_set<OriginCore, ByName, ByName> origins_;
 };
 

@@ -24,7 +24,7 @@ class EscapedTexts {
     for (const Leaf& leaf : record.info->description->leaves()) {
       if (leaf.kind != Kind::text) continue;
       const std::byte* at = find_value(leaf, record.payload.data());
-      if (at != nullptr && needs_escape(text_at(leaf, at))) add(record.slot);
+      if (at != nullptr && !is_readable(text_at(leaf, at))) add(record.slot);
     }
   }
   /// The batch is stored: counts its texts. One that failed comes again, and is not counted before.

@@ -139,6 +139,7 @@ bool SinkNode::wants(std::string_view topic) const noexcept {
 
 Result<void> SinkNode::take_topic(TopicCore& topic) {
   if (!wants(topic.name)) return {};
+  if (topic.type.type_key == &type_key_of<NoEvents> && !queue_->is_recording()) return {};
   if (topic.type.description == nullptr) {
     if (std::find(config_.topics.begin(), config_.topics.end(), topic.name) == config_.topics.end()) return {};
     return Error{Errc::bad_description, "cannot record", "topic " + topic.name, "its payload has no description",
