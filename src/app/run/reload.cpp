@@ -62,6 +62,7 @@ struct Reload::Reading final : detail::LaneJob {
 };
 
 void Reload::read_and_apply(const std::string& why, Told told) {
+  if (run_.is_ending()) return told({false, "it ends already"});
   const auto reading = std::make_shared<Reading>(*this, why, std::move(told));
   if (!reading_lane_.submit(reading)) reading->done(detail::LaneJob::Outcome::given_up);  // others hang
 }

@@ -52,7 +52,8 @@ class Reload {
 
   static constexpr Duration reading_limit = std::chrono::seconds{30};
   static constexpr Duration opening_patience = std::chrono::milliseconds{500};  // the client waits for it, too
-  /// Reads and checks the file again on a lane, since its disk may hang, and applies it. `why`: the cause, for messages. A recording that the change closes first stores its queue, while the loop turns;
+  /// Reads and checks the file again on a lane, since its disk may hang, and applies it. `why`: the cause, for
+  /// messages. A recording that the change closes first stores its queue, while the loop turns;
   /// if it cannot, for example on a full disk, nothing is changed, because the queue would be lost. If its disk does
   /// not answer, and nothing writes its file afterwards, it is left instead. A reload that comes while another is
   /// applied waits for it; of several waiting ones, the last is applied.
