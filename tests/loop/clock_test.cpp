@@ -156,7 +156,7 @@ TEST_SUITE("loop") {
     Pairs recorder;
     runtime.core().attach(recorder);
     std::string log;
-    runtime.on_log([&](const LogRecord& record) { log += record.text + "\n"; });
+    runtime.on_log([&](const LogRecord& record) { log += std::string(record.text) + "\n"; });
     Sensor<Number> sensor(loop, {.name = "s", .rate = 1_Hz}, [] { return Number{}; });
     loop.advance(10s);
     CHECK(recorder.pairs.empty());
