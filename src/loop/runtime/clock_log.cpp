@@ -100,7 +100,8 @@ bool ClockLog::look(const char* occasion) {
     last_suspended_ = pair.suspended;
     if (asleep > Duration{0})
       runtime_.log(LogLevel::warning, "clock",
-                   "the computer was suspended for " + to_string(asleep) +
+                   "the computer was suspended for " +
+                       to_string(std::chrono::round<std::chrono::milliseconds>(asleep)) +
                        "; schedules and recorded times stood still, UTC takes it into account");
     if (is_step(set))
       runtime_.log(LogLevel::warning, "clock",
