@@ -67,8 +67,8 @@ void AccountWriter::prepare(Database& database, AccountSums& sums, std::int64_t 
       {gap_before_,
        "SELECT * FROM rtdata_gap WHERE _rowid_ = ?9 AND run = ?1 AND topic = ?2 AND origin = ?3 AND first = ?10"},
       {clock_,
-       "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy) VALUES(?,?,?,?,?,?) RETURNING "
-       "*"},
+       "INSERT INTO rtdata_clock(run, monotonic, realtime, source, occasion, accuracy, suspended) "
+       "VALUES(?,?,?,?,?,?,?) RETURNING *"},
       {error_, "INSERT INTO rtdata_error(run, time, object, id, text, count, last) VALUES(?,?,?,?,?,?,?) RETURNING *"},
       {health_,
        "INSERT INTO rtdata_health(run, time, kind, name, state, reason, count, last) VALUES(?,?,?,?,?,?,?,?) RETURNING "
@@ -168,6 +168,7 @@ void AccountWriter::write(const Batch& batch, const Account& account, const Topi
     } else {
       clock_.bind_null(6);
     }
+    clock_.bind(7, pair.suspended.count());
     sums_->run(clock_);
   }
   if (!account.clock.empty()) write_utc_line(*database_, boot_id_);

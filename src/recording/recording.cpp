@@ -111,7 +111,8 @@ Database open_file(const std::string& path) {
   }
   auto opened = Database::open(path, Database::Mode::read);
   const std::int64_t application = application_id_of(opened, path);
-  if (application == sqlite::application_id_before) {
+  if (application == sqlite::application_id_before ||
+      (application == sqlite::application_id && sqlite::lacks_suspensions(opened))) {
     std::string writer;
     try {
       auto query = opened.prepare("SELECT program FROM rtdata_run ORDER BY run DESC LIMIT 1");

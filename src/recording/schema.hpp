@@ -98,8 +98,10 @@ CREATE TABLE IF NOT EXISTS rtdata_gap(
 CREATE TABLE IF NOT EXISTS rtdata_clock(
   run INTEGER NOT NULL, monotonic INTEGER NOT NULL, realtime INTEGER NOT NULL,
   source TEXT NOT NULL,             -- system, or the name of a plugged clock
-  occasion TEXT NOT NULL DEFAULT '',  -- start, step (the time of day was set), sync (its accuracy changed), regular, end
-  accuracy INTEGER);                -- NULL: not known
+  occasion TEXT NOT NULL DEFAULT '',  -- start, step (the time of day was set), suspended (the machine was), sync (its
+                                    -- accuracy changed), regular, end
+  accuracy INTEGER,                 -- NULL: not known
+  suspended INTEGER);               -- for how long the machine was suspended since the boot
 CREATE TABLE IF NOT EXISTS rtdata_utc(  -- computed from rtdata_clock: UTC = monotonic + offset + (monotonic - since) * rate
   boot_id TEXT NOT NULL,
   since INTEGER NOT NULL,           -- monotonic; up to the next row's
@@ -142,6 +144,9 @@ CREATE TABLE IF NOT EXISTS rtdata_deleted(  -- sums over the runs that were dele
   outages INTEGER NOT NULL, outage_time INTEGER NOT NULL, outages_joined INTEGER NOT NULL,
   PRIMARY KEY(topic, origin)) WITHOUT ROWID;
 )sql";
+
+/// True for a recording of before version 0.1.0 that has the present id.
+bool lacks_suspensions(const Database& database);
 
 /// Makes the tables and views of a recording in an empty file.
 void make_recording(const Database& database);

@@ -19,6 +19,8 @@ std::int64_t format_of(const Database& database, const std::string& path) {
     throw SetupError({Errc::not_a_recording, "cannot record into", path, "it is another program's SQLite database",
                       "choose another path"});
   }
+  if (lacks_suspensions(database))
+    throw SetupError({Errc::not_a_recording, "cannot record into", path, written_before, advice_before});
   auto version = database.integer("PRAGMA user_version");
   if (version > schema_version) {
     throw SetupError({Errc::newer_version, "cannot record into", path,
@@ -34,6 +36,14 @@ std::int64_t format_of(const Database& database, const std::string& path) {
 std::string host_name() {
   char name[256] = {};
   return ::gethostname(name, sizeof name - 1) == 0 ? name : "";
+}
+
+bool lacks_suspensions(const Database& database) {
+  const auto has = [&](const char* column) {
+    return sqlite3_table_column_metadata(database.raw(), "main", "rtdata_clock", column, nullptr, nullptr, nullptr,
+                                         nullptr, nullptr) == SQLITE_OK;
+  };
+  return has(nullptr) && !has("suspended");
 }
 
 void make_recording(const Database& database) {

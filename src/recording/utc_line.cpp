@@ -4,6 +4,8 @@
 #include <cctype>
 #include <limits>
 
+#include "data/saturating.hpp"
+
 namespace rtdata {
 namespace {
 
@@ -49,6 +51,52 @@ std::vector<RecordedClock> rising(const std::vector<RecordedClock>& pairs) {
   return kept;
 }
 
+/// From `since` on, the machine had been suspended for `total` since the first pair.
+struct Suspended {
+  MonotonicTime since{};
+  Duration total{0};
+};
+
+/// Adds suspensions to the monotonic times of pairs, which are in order of time. Returns the first instant and the
+/// suspensions.
+std::vector<Suspended> add_suspensions(std::vector<RecordedClock>& pairs) {
+  constexpr Duration noise = std::chrono::milliseconds{1};  // of reading two clocks
+  std::vector<Suspended> all{{pairs.front().monotonic, Duration{0}}};
+  for (RecordedClock& pair : pairs) {
+    const Duration total = detail::difference(pairs.front().suspended, pair.suspended);
+    if (detail::difference(all.back().total, total) > noise) all.push_back({pair.monotonic, total});
+    pair.monotonic = detail::later(pair.monotonic, all.back().total);
+  }
+  return all;
+}
+
+/// The line of monotonic times, from that of a clock which goes on during suspensions.
+std::vector<UtcLine::Stretch> without_suspensions(std::vector<UtcLine::Stretch> line,
+                                                  const std::vector<Suspended>& suspensions) {
+  if (suspensions.size() == 1) return line;
+  if (suspensions.front().since < line.front().since) {  // in a copy, pairs of earlier runs are before 0
+    const double earlier = static_cast<double>((line.front().since - suspensions.front().since).count());
+    line.front().offset -= Duration{static_cast<std::int64_t>(earlier * line.front().rate)};
+    line.front().since = suspensions.front().since;
+  }
+  std::vector<UtcLine::Stretch> result;
+  for (std::size_t s = 0; s < suspensions.size(); ++s) {
+    const Duration total = suspensions[s].total;
+    const MonotonicTime begin = s == 0 ? line.front().since : detail::later(suspensions[s].since, total);
+    const MonotonicTime end = s + 1 == suspensions.size() ? MonotonicTime::max()
+                                                          : detail::later(suspensions[s + 1].since, total);
+    for (std::size_t i = 0; i < line.size() && line[i].since < end; ++i) {
+      if (i + 1 < line.size() && line[i + 1].since <= begin) continue;
+      const MonotonicTime since = std::max(line[i].since, begin);
+      const double later = static_cast<double>((since - line[i].since).count()) * line[i].rate;
+      result.push_back({detail::later(since, -total),
+                        detail::difference(-total, line[i].offset) + Duration{static_cast<std::int64_t>(later)},
+                        line[i].rate});
+    }
+  }
+  return result;
+}
+
 /// The offset of pairs of unknown accuracy: that after the last time the clock was set.
 Duration last_set(const std::vector<RecordedClock>& pairs) {
   constexpr Time plausible{std::chrono::sys_days{std::chrono::year{2020} / 1 / 1}};
@@ -62,38 +110,46 @@ Duration last_set(const std::vector<RecordedClock>& pairs) {
   return offset_of(pairs[last]);
 }
 
+/// From pairs in order of time.
+std::vector<UtcLine::Stretch> line_of(const std::vector<RecordedClock>& all) {
+  std::vector<UtcLine::Stretch> line;
+  std::vector<RecordedClock> known;
+  std::copy_if(all.begin(), all.end(), std::back_inserter(known),
+               [](const auto& pair) { return pair.accuracy.has_value(); });
+  if (known.empty()) {
+    line.push_back({MonotonicTime{}, last_set(all), 0});
+    return line;
+  }
+  const std::vector<RecordedClock> best = rising(best_of(known));
+  line.push_back({MonotonicTime{}, offset_of(best.front()), 0});
+  for (std::size_t i = 0; i < best.size(); ++i) {
+    UtcLine::Stretch stretch{best[i].monotonic, offset_of(best[i]), 0};
+    if (i + 1 < best.size()) {
+      stretch.rate = static_cast<double>((offset_of(best[i + 1]) - stretch.offset).count()) /
+                     static_cast<double>((best[i + 1].monotonic - stretch.since).count());
+    }
+    const UtcLine::Stretch& before = line.back();
+    if (before.offset != stretch.offset || before.rate != stretch.rate) {
+      if (before.since == stretch.since) line.pop_back();
+      line.push_back(stretch);
+    }
+  }
+  // In a copy, pairs of earlier runs are before 0: a line that bends there begins at the first of them.
+  if (line.size() > 1 && line[1].since < line[0].since) {
+    line[0].since = best.front().monotonic;
+    if (line[1].since == line[0].since) line.erase(line.begin());
+  }
+  return line;
+}
+
 }  // namespace
 
 UtcLine::UtcLine(std::span<const RecordedClock> pairs, Duration clock_offset) : clock_offset_(clock_offset) {
   if (pairs.empty()) return;
   std::vector<RecordedClock> all(pairs.begin(), pairs.end());
   std::stable_sort(all.begin(), all.end(), [](const auto& a, const auto& b) { return a.monotonic < b.monotonic; });
-  std::vector<RecordedClock> known;
-  std::copy_if(all.begin(), all.end(), std::back_inserter(known),
-               [](const auto& pair) { return pair.accuracy.has_value(); });
-  if (known.empty()) {
-    stretches_.push_back({MonotonicTime{}, last_set(all), 0});
-    return;
-  }
-  const std::vector<RecordedClock> best = rising(best_of(known));
-  stretches_.push_back({MonotonicTime{}, offset_of(best.front()), 0});
-  for (std::size_t i = 0; i < best.size(); ++i) {
-    Stretch stretch{best[i].monotonic, offset_of(best[i]), 0};
-    if (i + 1 < best.size()) {
-      stretch.rate = static_cast<double>((offset_of(best[i + 1]) - stretch.offset).count()) /
-                     static_cast<double>((best[i + 1].monotonic - stretch.since).count());
-    }
-    const Stretch& before = stretches_.back();
-    if (before.offset != stretch.offset || before.rate != stretch.rate) {
-      if (before.since == stretch.since) stretches_.pop_back();
-      stretches_.push_back(stretch);
-    }
-  }
-  // In a copy, pairs of earlier runs are before 0: a line that bends there begins at the first of them.
-  if (stretches_.size() > 1 && stretches_[1].since < stretches_[0].since) {
-    stretches_[0].since = best.front().monotonic;
-    if (stretches_[1].since == stretches_[0].since) stretches_.erase(stretches_.begin());
-  }
+  const std::vector<Suspended> suspended = add_suspensions(all);
+  stretches_ = without_suspensions(line_of(all), suspended);
 }
 
 Time UtcLine::utc(Time recorded) const noexcept {
@@ -133,8 +189,8 @@ std::vector<RecordedClock> clock_pairs_of_boot(const Database& database, std::st
 
 std::vector<RecordedClock> clock_pairs(const Database& database, const std::string& condition) {
   auto query = database.prepare(
-      "SELECT c.monotonic, c.realtime, c.source, c.accuracy, c.occasion FROM rtdata_run r JOIN rtdata_clock c ON c.run "
-      "= r.run WHERE " +
+      "SELECT c.monotonic, c.realtime, c.source, c.accuracy, c.occasion, c.suspended FROM rtdata_run r JOIN "
+      "rtdata_clock c ON c.run = r.run WHERE " +
       condition + " ORDER BY c.monotonic, c._rowid_");
   std::vector<RecordedClock> pairs;
   while (query.step()) {
@@ -144,6 +200,7 @@ std::vector<RecordedClock> clock_pairs(const Database& database, const std::stri
     pair.source = std::string(query.text(2));
     if (!query.is_null(3)) pair.accuracy = Duration{query.integer(3)};
     pair.occasion = std::string(query.text(4));
+    pair.suspended = Duration{query.integer(5)};
   }
   return pairs;
 }

@@ -1,7 +1,9 @@
 // SIGHUP: a running program reads its configuration again. The real programs.
 #include <doctest/doctest.h>
+#include <sys/stat.h>
 
 #include <chrono>
+#include <filesystem>
 #include <set>
 #include <sstream>
 #include <string>
@@ -611,6 +613,55 @@ while True:
     CHECK(run.end() == 0);
     Process verify(folder, program, {"verify", "run.db"});
     CHECK(verify.end() == 0);
+  }
+
+  TEST_CASE("US-5 SIGHUP with a file that is a FIFO is refused, and the run goes on and ends as always") {
+    const Folder folder;
+    folder.write("rig.json", rig("100 Hz", ""));
+    Process run(folder, built("rtdata_test_program"), {"run", "rig.json"});
+    REQUIRE(run.wait_for("running rig"));
+    REQUIRE(std::filesystem::remove(folder.path() + "/rig.json"));
+    REQUIRE(::mkfifo((folder.path() + "/rig.json").c_str(), 0600) == 0);
+    run.signal(SIGHUP);
+    REQUIRE(run.wait_for("nothing was changed: 1 mistake in rig.json"));
+    CHECK(has(run.err, "cannot read the configuration: it is not a regular file"));
+    run.signal(SIGTERM);
+    CHECK(run.end() == 0);
+    CHECK(has(run.out, "ledger balances"));
+  }
+
+  TEST_CASE("US-5 while a reload hangs in reading the file, a signal sets outputs safe and ends the run in time") {
+    const rtdata::test::RuntimeFolder runtime;
+    for (const bool by_ctl : {false, true}) {
+      CAPTURE(by_ctl);
+      const Folder folder;
+      const auto text = [](const std::string& more) {
+        return R"({"sensors": [{"name": "a", "type": "tallied", "rate": "100 Hz"})" + more + R"(],
+          "outputs": [{"name": "valve", "type": "command", "run": ["sh", "-c", "echo {value} >> valve.txt"]}],
+          "sinks": [{"type": "sqlite", "path": "run.db"}]})";
+      };
+      const std::string program = built("rtdata_test_program");
+      folder.write("rig.json", text(""));
+      Process run(folder, program, {"run", "rig.json"});
+      REQUIRE(run.wait_for("running rig"));
+      Process set(folder, program, {"ctl", "set", "valve", "1"});
+      CHECK_MESSAGE(set.end() == 0, set.err);
+      folder.write("rig.json", text(R"(, {"name": "b", "type": "absent", "rate": "1 Hz", "check_hangs": true})"));
+      Process ctl(folder, program, {"ctl", by_ctl ? "reload" : "show"});
+      if (!by_ctl) run.signal(SIGHUP);
+      REQUIRE(run.wait_for("it hangs now"));
+      run.signal(SIGTERM);
+      const auto begin = std::chrono::steady_clock::now();
+      CHECK(run.end() == 1);
+      CHECK(std::chrono::steady_clock::now() - begin < std::chrono::seconds{5});
+      CHECK_MESSAGE(has(run.err, "ended though it hangs: reading rig.json"), run.err);
+      CHECK(has(run.out, "ledger balances"));
+      CHECK(folder.read("valve.txt").ends_with("0\n"));
+      ctl.end();
+      if (by_ctl) CHECK_MESSAGE(has(ctl.err + ctl.out, "it ends already"), ctl.err + ctl.out);
+      Process verify(folder, program, {"verify", "run.db"});
+      CHECK(verify.end() == 0);
+    }
   }
 
   TEST_CASE("US-5 check says what becomes of each part of a running system") {

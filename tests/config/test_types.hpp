@@ -91,9 +91,12 @@ struct Counter {
 struct AbsentConfig {
   std::string device = "/dev/absent";
   bool hangs = false;
+  bool check_hangs = false;
   friend constexpr auto parameters(type_tag<AbsentConfig>) {
     return parameter_list(parameter("device", &AbsentConfig::device, "what is not there"),
-                          parameter("hangs", &AbsentConfig::hangs, "opening it does not return"));
+                          parameter("hangs", &AbsentConfig::hangs, "opening it does not return"),
+                          parameter("check_hangs", &AbsentConfig::check_hangs,
+                                    "checking its configuration does not return, and says so on stderr"));
   }
 };
 struct Absent {
@@ -151,7 +154,14 @@ inline void add_test_types(Registry& registry) {
         return Sensor<Count>(loop, common, Counter{config});
       });
   registry.add_sensor<AbsentConfig>(
-      "absent", "is never there", [](const AbsentConfig&) { return description_of<Level>(); },
+      "absent", "is never there",
+      [](const AbsentConfig& config) {
+        if (config.check_hangs) {
+          [[maybe_unused]] const ssize_t size = ::write(STDERR_FILENO, "it hangs now\n", 13);
+          for (;;) ::pause();
+        }
+        return description_of<Level>();
+      },
       [](Loop& loop, const SensorConfig& common, const AbsentConfig& config) {
         return Sensor<Level>(loop, common, Absent{config.device, config.hangs});
       });

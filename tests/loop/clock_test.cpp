@@ -149,6 +149,42 @@ TEST_SUITE("loop") {
     runtime.core().detach(recorder);
   }
 
+  TEST_CASE("a suspension of the computer is noted as such, and not as a clock that was set") {
+    ManualClock clock;
+    Runtime runtime({.clock = &clock});
+    Loop loop(runtime, {});
+    Pairs recorder;
+    runtime.core().attach(recorder);
+    std::string log;
+    runtime.on_log([&](const LogRecord& record) { log += std::string(record.text) + "\n"; });
+    Sensor<Number> sensor(loop, {.name = "s", .rate = 1_Hz}, [] { return Number{}; });
+    loop.advance(10s);
+    CHECK(recorder.pairs.empty());
+    clock.suspend(8h);
+    clock.suspend(-1h);  // nothing
+    loop.advance(10s);
+    REQUIRE(recorder.pairs.size() == 1);
+    CHECK(std::string(recorder.pairs[0].occasion) == "suspended");
+    CHECK(recorder.pairs[0].suspended == 8h);
+    CHECK(recorder.pairs[0].monotonic == MonotonicTime{10s});
+    CHECK(recorder.pairs[0].realtime == Time{1'700'000'010s + 8h});
+    CHECK(log.starts_with("the computer was suspended for 8 h; "));
+    CHECK_MESSAGE(log.find("was set") == std::string::npos, log);
+    CHECK(sensor.counts().taken == 21);  // the schedule stood still
+
+    clock.suspend(1h);
+    clock.set_realtime(clock.realtime() - 2s);  // by a clock that is right
+    loop.advance(10s);
+    REQUIRE(recorder.pairs.size() == 2);
+    CHECK(std::string(recorder.pairs[1].occasion) == "step");
+    CHECK(recorder.pairs[1].suspended == 9h);
+    CHECK_MESSAGE(log.find("the computer was suspended for 1 h; ") != std::string::npos, log);
+    CHECK_MESSAGE(log.find("the time of day was set by -2 s; ") != std::string::npos, log);
+    CHECK(runtime.note_wall_clock({.monotonic = loop.now(), .realtime = clock.realtime(), .source = "gps"}));
+    CHECK(recorder.pairs.back().suspended == 9h);
+    runtime.core().detach(recorder);
+  }
+
   TEST_CASE("a plugged clock tells the time as often as it likes, and floods no recording") {
     ManualClock clock;
     Runtime runtime({.clock = &clock});
@@ -252,6 +288,8 @@ TEST_SUITE("loop") {
     const auto first = clock.monotonic();
     CHECK(clock.monotonic() >= first);
     CHECK_FALSE(clock.boot_id().empty());
+    CHECK(clock.suspended() > -1ms);
+    CHECK(std::chrono::abs(clock.suspended() - clock.suspended()) < 1ms);
     if (const auto accuracy = clock.accuracy()) CHECK(*accuracy >= 1ms);
     ManualClock one, other;
     CHECK(one.boot_id() == one.boot_id());

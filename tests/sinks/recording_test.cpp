@@ -225,6 +225,9 @@ TEST_CASE("FW-5 what cannot be read is refused with a clear error") {
     CHECK(refusal(before).advice == "export it with the rtdata that recorded it, or record into another file");
     std::filesystem::remove(before);
   }
+  const std::string unaware = make(folder, {}, "unaware.db");
+  sql(unaware, "ALTER TABLE rtdata_clock DROP COLUMN suspended");
+  CHECK(refusal(unaware).why.starts_with("it is a recording of a version before 0.1.0, which had another format"));
   const std::string missing = make(folder, {}, "missing.db");
   sql(missing, "DROP TABLE rtdata_gap");
   CHECK(refusal(missing).id() == "damaged");

@@ -202,6 +202,49 @@ TEST_CASE("US-34 a plugged clock that is better than the machine's binds the row
         2);
 }
 
+TEST_CASE("US-34 a suspension between runs or within one moves no row, whether or not the clock is synchronised") {
+  for (const bool is_known : {false, true}) {
+    CAPTURE(is_known);
+    const Folder folder;
+    ManualClock clock(noon);
+    if (is_known) clock.set_accuracy(3ms);
+    { Recorder(folder / "run.db", clock).loop.advance(10s); }
+    clock.pass(1s);
+    clock.suspend(8h);
+    clock.set_accuracy(std::nullopt);
+    {
+      Recorder recorder(folder / "run.db", clock);
+      recorder.loop.advance(10'500ms);
+      clock.suspend(1h);
+      recorder.loop.advance(10s);
+    }
+    auto expected = seconds_from(noon, 11);
+    const auto append = [&](Time from, std::size_t count) {
+      const auto more = seconds_from(from, count);
+      expected.insert(expected.end(), more.begin(), more.end());
+    };
+    append(noon + 11s + 8h, 11);
+    append(noon + 22s + 9h, 10);
+    CHECK(utc_of(folder / "run.db") == expected);
+    CHECK(number(folder / "run.db", "SELECT count(*) FROM rtdata_clock WHERE occasion = 'suspended'") == 1);
+    CHECK(number(folder / "run.db", "SELECT max(suspended) FROM rtdata_clock") == Duration{9h}.count());
+  }
+}
+
+TEST_CASE("US-34 a clock that is set after a suspension moves the rows before it by that, and by nothing else") {
+  const Folder folder;
+  ManualClock clock(noon);
+  { Recorder(folder / "run.db", clock).loop.advance(10s); }
+  clock.pass(1s);
+  clock.suspend(8h);
+  clock.set_realtime(clock.realtime() + 5s);
+  { Recorder(folder / "run.db", clock).loop.advance(10s); }
+  auto expected = seconds_from(noon + 5s, 11);
+  const auto second = seconds_from(noon + 16s + 8h, 11);
+  expected.insert(expected.end(), second.begin(), second.end());
+  CHECK(utc_of(folder / "run.db") == expected);
+}
+
 TEST_CASE("US-34 two runs of one boot: what the second learns binds the first, which ended before") {
   const Folder folder;
   ManualClock clock(Time{5s});

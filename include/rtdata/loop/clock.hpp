@@ -31,6 +31,8 @@ class Clock {
   virtual std::string boot_id() = 0;
   /// The largest difference of `realtime` from UTC; empty: unknown, because no service synchronises the clock.
   virtual std::optional<Duration> accuracy() noexcept { return std::nullopt; }
+  /// How long the machine was suspended since `monotonic` began, which stood still meanwhile.
+  virtual Duration suspended() noexcept { return Duration{0}; }
 };
 
 /// The machine's clocks. Their accuracy is the estimated error that the NTP or PTP service gave to the
@@ -41,6 +43,7 @@ class SystemClock : public Clock {
   Time realtime() noexcept override;
   std::string boot_id() override;
   std::optional<Duration> accuracy() noexcept override;
+  Duration suspended() noexcept override;
 };
 
 /// The clocks of a manual loop: they stand still unless moved.
@@ -52,11 +55,14 @@ class ManualClock : public Clock {
   /// Differs from object to object.
   std::string boot_id() override;
   std::optional<Duration> accuracy() noexcept override { return accuracy_; }
+  Duration suspended() noexcept override { return suspended_; }
 
   /// Lets time pass on both clocks, up to the largest time at most; does nothing if the duration is not positive.
   /// Within a callback of a manual loop, the callback takes this long. With tiers, the other loops run meanwhile, so
   /// the callback may take longer.
   void pass(Duration duration) noexcept;
+  /// Suspends the machine: only the time of day goes on. Does nothing if the duration is not positive.
+  void suspend(Duration duration) noexcept;
   /// Sets the time of day, as an operator or NTP would.
   void set_realtime(Time time) noexcept { realtime_ = time; }
   /// Simulates a service that keeps the time of day with this accuracy; empty: no service.
@@ -68,6 +74,7 @@ class ManualClock : public Clock {
 
   MonotonicTime monotonic_{};
   Time realtime_;
+  Duration suspended_{0};
   std::optional<Duration> accuracy_;
   std::string boot_id_;
   detail::VirtualThreads* threads_ = nullptr;  // of a main loop and its tiers, which share it
@@ -79,8 +86,10 @@ struct ClockPair {
   Time realtime{};
   std::string source = "system";          ///< "system": the program's clock; or the name of a plugged one: "gps"
   std::optional<Duration> accuracy = {};  ///< how far `realtime` may be from UTC; none: not known
-  /// Why it is recorded: "start", "step" (the clock was set), "sync" (its accuracy changed), "regular", "end".
+  /// Why it is recorded: "start", "step" (the clock was set), "suspended" (the machine was), "sync" (its accuracy
+  /// changed), "regular", "end".
   const char* occasion = "regular";
+  Duration suspended{0};  ///< see Clock::suspended
 };
 
 }  // namespace rtdata

@@ -122,6 +122,7 @@ struct RecordedClock {
   std::string source = {};
   std::optional<Duration> accuracy = {};
   std::string occasion = {};
+  Duration suspended{0};
 };
 
 /// Converts recorded times of one boot to UTC, from all pairs of monotonic time and time of day in the recording for
@@ -134,6 +135,9 @@ struct RecordedClock {
 /// Pairs of unknown accuracy are used only if there are no others. Then the last one applies to the whole boot, because
 /// a clock is set when it was wrong: a step of an hour leaves no gap and no double hour. (A pair before 2020 is from a
 /// clock that was never set; it does not replace later ones.)
+///
+/// Time during which the machine was suspended counts as well, so a suspension is no step. Times from the first pair
+/// that includes it on are after the suspension, earlier ones before.
 class UtcLine {
  public:
   /// From `since` on: UTC = monotonic + offset + (monotonic - since) * rate.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <exception>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -23,24 +24,58 @@ constexpr Duration step_time = std::chrono::milliseconds{2};            // of a 
 
 }  // namespace
 
-std::shared_ptr<const Reload::NextPlan> Reload::read_again() const {
-  auto next = std::make_shared<NextPlan>();
-  next->number = ++readings_;
-  try {
-    ConfigDocument document = load_config(options_.file);
-    Problems warnings;
-    run_.tares.put_into(document.root, warnings);
-    next->plan = plan_system(registry_, std::move(document));
-    next->plan.warnings.append(warnings);
-    check_log_file(log_file_of(next->plan, options_.log_file), next->plan);
-    if (next->plan.good()) {
-      warn_of_growth(next->plan, growth_span);
-      warn_of_losses(next->plan);
-    }
-  } catch (const std::exception& error) {
-    next->failed = detail::reason_of(error);
+void Reload::read(NextPlan& next) const try {
+  ConfigDocument document = load_config(options_.file);
+  Problems warnings;
+  run_.tares.put_into(document.root, warnings);
+  next.plan = plan_system(registry_, std::move(document));
+  next.plan.warnings.append(warnings);
+  check_log_file(log_file_of(next.plan, options_.log_file), next.plan);
+  if (next.plan.good()) {
+    warn_of_growth(next.plan, growth_span);
+    warn_of_losses(next.plan);
   }
-  return next;
+} catch (const std::exception& error) {
+  next.failed = detail::reason_of(error);
+}
+
+struct Reload::Reading final : detail::LaneJob {
+  Reading(Reload& reload, const std::string& why, Told told) : reload_(reload), why_(why), told_(std::move(told)) {
+    ++reload_.readings_;
+  }
+  void run() noexcept override { reload_.read(*next_); }
+  void done(Outcome outcome) override {
+    --reload_.readings_;
+    if (outcome == Outcome::cancelled) return;
+    if (outcome == Outcome::given_up) {  // its thread may still write the plan
+      next_ = std::make_shared<NextPlan>();
+      next_->failed = "reading " + reload_.options_.file + " takes longer than " + to_string(reading_limit);
+    }
+    reload_.apply(next_, why_, told_);
+  }
+
+ private:
+  Reload& reload_;
+  const std::string why_;
+  const Told told_;
+  std::shared_ptr<NextPlan> next_ = std::make_shared<NextPlan>();
+};
+
+void Reload::read_and_apply(const std::string& why, Told told) {
+  if (run_.is_ending()) return told({false, "it ends already"});
+  const auto reading = std::make_shared<Reading>(*this, why, std::move(told));
+  if (!reading_lane_.submit(reading)) reading->done(detail::LaneJob::Outcome::given_up);  // others hang
+}
+
+void Reload::give_up_reading() {
+  while (readings_ > 0) reading_lane_.give_up();
+}
+
+std::string Reload::hanging() const {
+  constexpr std::chrono::milliseconds patience{500}, step{10};
+  for (auto left = patience; left.count() > 0 && reading_lane_.abandoned_threads() > 0; left -= step)
+    std::this_thread::sleep_for(step);
+  return reading_lane_.abandoned_threads() > 0 ? "reading " + options_.file : "";
 }
 
 const std::set<std::string>& Reload::end() {
@@ -187,10 +222,6 @@ void Reload::then(const Weak& change, void (Reload::*step)(const std::shared_ptr
 
 void Reload::apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told) {
   const auto change = std::make_shared<Change>(Change{std::move(read), why, std::move(told)});
-  // A device or a disk delayed the reading: the file has been read again since then.
-  if (change->read->number < newest_)
-    return refuse(*change, "the file has been read again since, and that later text is applied");
-  newest_ = change->read->number;
   if (under_way_ == nullptr && next_ == nullptr) return begin(change);
   if (next_ != nullptr) refuse(*next_, "a later one takes its place");
   next_ = change;

@@ -1,7 +1,6 @@
 // Reads the configuration of a run again and applies it while the run continues.
 #pragma once
 
-#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -37,8 +36,7 @@ class Reload {
   };
   struct NextPlan {
     SystemPlan plan;
-    std::string failed = {};   ///< empty: there is a plan, perhaps with mistakes
-    std::uint64_t number = 0;  ///< later readings have larger ones
+    std::string failed = {};  ///< empty: there is a plan, perhaps with mistakes
   };
   using Told = std::function<void(const CommandOutcome&)>;
 
@@ -49,20 +47,25 @@ class Reload {
         options_(options),
         console_(console),
         run_(std::move(run)),
+        reading_lane_(loop.core(), "configuration", reading_limit),
         lane_(loop.core(), "reload", std::chrono::seconds{1}) {}
 
+  static constexpr Duration reading_limit = std::chrono::seconds{30};
   static constexpr Duration opening_patience = std::chrono::milliseconds{500};  // the client waits for it, too
-  /// Reads and checks the file again. Any thread except the loop's, so that the loop does not wait.
-  std::shared_ptr<const NextPlan> read_again() const;
-  /// `why`: the cause, for messages. A recording that the change closes first stores its queue, while the loop turns;
+  /// Reads and checks the file again on a lane, since its disk may hang, and applies it. `why`: the cause, for
+  /// messages. A recording that the change closes first stores its queue, while the loop turns;
   /// if it cannot, for example on a full disk, nothing is changed, because the queue would be lost. If its disk does
   /// not answer, and nothing writes its file afterwards, it is left instead. A reload that comes while another is
   /// applied waits for it; of several waiting ones, the last is applied.
-  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told);
+  void read_and_apply(const std::string& why, Told told);
   /// Events that closed sinks could not store.
   std::uint64_t not_stored() const noexcept { return system_.lost_in_changes(); }
   /// The run ends: a running change stops as it is. Returns the parts that changes could not make.
   const std::set<std::string>& end();
+  /// The run is ending: answers those that wait for a reading.
+  void give_up_reading();
+  /// At the end: "reading rig.json" if a thread that was given up still reads, which uses this object; or empty.
+  std::string hanging() const;
 
  private:
   struct RemovedSender {
@@ -88,6 +91,9 @@ class Reload {
     std::string missing = {};        // parts that could not be made, although it is applied
   };
   using Weak = std::weak_ptr<Change>;
+  /// Any thread.
+  void read(NextPlan& next) const;
+  void apply(std::shared_ptr<const NextPlan> read, const std::string& why, Told told);
   void conclude(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
   void refuse(Change& change, const std::string& text);
   void add(Change& change, LogLevel level, const std::string& text, std::string_view id = {});
@@ -119,6 +125,7 @@ class Reload {
   void report_parts(const std::shared_ptr<Change>& change);
 
   struct NewFilesLook;
+  struct Reading;
 
   Loop& loop_;
   System& system_;
@@ -126,11 +133,11 @@ class Reload {
   const RunOptions& options_;
   RunConsole& console_;
   const Run run_;
-  std::shared_ptr<Change> under_way_;                // null: no reload in progress
-  std::shared_ptr<Change> next_;                     // the waiting one
-  mutable std::atomic<std::uint64_t> readings_ = 0;  // number of readings begun
-  std::uint64_t newest_ = 0;                         // the newest that was applied
-  detail::Lane lane_;                                // checks files on all disks
+  std::shared_ptr<Change> under_way_;  // null: no reload in progress
+  std::shared_ptr<Change> next_;       // the waiting one
+  int readings_ = 0;                   // in progress
+  detail::Lane reading_lane_;
+  detail::Lane lane_;  // checks files on all disks
 };
 
 }  // namespace rtdata::app

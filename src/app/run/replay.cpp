@@ -111,7 +111,8 @@ void give_clock(const Recording& recording, const RunInfo& run, Loop& loop) {
     for (const RecordedClock& pair : recording.clock(other.run).or_throw()) {
       const Time at{pair.monotonic.time_since_epoch() + run.clock_offset};
       for (detail::Recorder* recorder : runtime.recorders)
-        recorder->on_clock({runtime.clock_log.monotonic_of(at), pair.realtime, pair.source, pair.accuracy, "regular"});
+        recorder->on_clock(
+            {runtime.clock_log.monotonic_of(at), pair.realtime, pair.source, pair.accuracy, "regular", pair.suspended});
     }
   }
 }

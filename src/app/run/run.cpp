@@ -137,9 +137,7 @@ class Run {
                      status.set(status_info(next, system));
                    },
                    tares_, guard_ != nullptr});
-    actions.reload = [&] {
-      loop.post([&reload, next = reload.read_again()] { reload.apply(next, "SIGHUP", [](const CommandOutcome&) {}); });
-    };
+    actions.reload = [&] { loop.post([&reload] { reload.read_and_apply("SIGHUP", [](const CommandOutcome&) {}); }); };
     signals_.attach(loop, std::move(actions));
     const Detach detach_reload{signals_};
     CommandDesk desk(loop, system, tares_, [this](const std::string& text, bool done) {
@@ -167,13 +165,16 @@ class Run {
       (void)service.tell("STOPPING=1\nSTATUS=storing the queued events");
       is_closing_ = true;
       desk.end();
+      reload.give_up_reading();
       set_safe(loop, system);
       ticker.set_period(redraw_period);
       not_stored_ += reload.not_stored();  // closing counts what its sinks still send
       not_stored_ += loop.close(close_deadline_);
     }
     report_holds(loop.callbacks());
-    const std::string hanging = stop_tiers(plan, system);
+    std::string hanging = stop_tiers(plan, system);
+    if (const std::string reading = reload.hanging(); !reading.empty())
+      hanging += (hanging.empty() ? "" : ", ") + reading;
     report_buses(system);
     console_.close_view();
     const int exit_status = report(runtime, loop.core().runtime.unknown_end,
@@ -212,24 +213,6 @@ class Run {
                             system.parts().find<Bus>(part.kind, part.name)});
     }
     return info;
-  }
-
-  /// On the control socket's thread: waits for the loop with a limit.
-  static CommandOutcome reload_for(Loop& loop, Reload& reload, CommandDesk& desk, const std::vector<std::string>& words,
-                                   const std::string& by) {
-    auto outcome = std::make_shared<std::promise<CommandOutcome>>();
-    auto told = outcome->get_future();
-    loop.post([&reload, &desk, next = reload.read_again(), outcome, words, by] {
-      reload.apply(next, "reload", [&desk, outcome, words, by](const CommandOutcome& came) {
-        desk.keep(words, by, came);
-        outcome->set_value(came);
-      });
-    });
-    if (told.wait_for(answer_patience) == std::future_status::ready) return told.get();
-    return {false,
-            "the configuration is not applied yet: the loop is busy, such as storing the queue of a closed sink; the "
-            "log will have "
-            "the result"};
   }
 
   /// Outputs that may not have their safe value, also those closed by a reload: "output heater, output fan".
@@ -307,16 +290,26 @@ class Run {
       const std::vector<std::string> words = command_words(line);
       if (words.empty()) return status.answer(client, line);
       const std::string by = control->peer_of(client);
-      if (words[0] == "reload" && words.size() == 1)
-        return [&, words, by] { return command_answer(reload_for(loop, reload, desk, words, by)); };
       if (is_closing_) return [] { return command_answer({false, "it ends already"}); };
       auto outcome = std::make_shared<std::promise<CommandOutcome>>();
-      desk.run(words, by, [outcome](const CommandOutcome& came) { outcome->set_value(came); });
-      return [told = std::make_shared<std::future<CommandOutcome>>(outcome->get_future())] {
-        if (told->wait_for(answer_patience) == std::future_status::ready) return command_answer(told->get());
-        return command_answer({false,
-                               "there is no result yet, such as whether it is on the disk: the loop is busy; the log "
-                               "will have the result"});
+      const auto tell = [outcome](const CommandOutcome& came) { outcome->set_value(came); };
+      const char* late =
+          "there is no result yet, such as whether it is on the disk: the loop is busy; the log will have the result";
+      if (words[0] == "reload" && words.size() == 1) {
+        reload.read_and_apply("reload", [&desk, words, by, tell](const CommandOutcome& came) {
+          desk.keep(words, by, came);
+          tell(came);
+        });
+        late =
+            "the configuration is not applied yet: its disk does not answer, or the loop is busy, such as storing the "
+            "queue of a closed sink; the log will have the result";
+      } else {
+        desk.run(words, by, tell);
+      }
+      return [outcome, late] {
+        auto told = outcome->get_future();
+        if (told.wait_for(answer_patience) == std::future_status::ready) return command_answer(told.get());
+        return command_answer({false, late});
       };
     };
     try {

@@ -31,7 +31,7 @@ class StopSignals {
     std::function<std::uint64_t()> queued;
     /// On the signals' thread. `queued`: the present number; empty if the loop does not answer. Does not return.
     std::function<void(const char* signal, std::optional<std::uint64_t> queued)> second;
-    /// On the signals' thread, for SIGHUP: reads the configuration again.
+    /// On the signals' thread, for SIGHUP; must not wait. Has the configuration read again.
     std::function<void()> reload;
     /// On the signals' thread, at once, with the first signal. Empty: nothing.
     std::function<void()> at_once = {};

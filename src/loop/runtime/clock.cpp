@@ -37,10 +37,30 @@ std::string ManualClock::boot_id() {
   return boot_id_;
 }
 
+Duration SystemClock::suspended() noexcept {
+  // Again if the thread was interrupted in between, which would look like a suspension.
+  constexpr Duration close_enough = std::chrono::microseconds{100};
+  Duration best{0}, narrowest = Duration::max();
+  for (int tries = 0; tries < 10 && narrowest > close_enough; ++tries) {
+    const Duration before = read_clock(CLOCK_MONOTONIC), with = read_clock(CLOCK_BOOTTIME);
+    const Duration width = read_clock(CLOCK_MONOTONIC) - before;
+    if (width >= narrowest) continue;
+    narrowest = width;
+    best = with - before - width / 2;
+  }
+  return best;
+}
+
 void ManualClock::pass(Duration duration) noexcept {
   if (duration.count() <= 0) return;
   if (threads_ != nullptr) return threads_->sleep(duration);
   move(duration);
+}
+
+void ManualClock::suspend(Duration duration) noexcept {
+  if (duration.count() <= 0) return;
+  realtime_ = detail::later(realtime_, duration);
+  suspended_ = detail::later(Time{suspended_}, duration).time_since_epoch();
 }
 
 void ManualClock::move(Duration duration) noexcept {

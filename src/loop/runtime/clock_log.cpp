@@ -39,12 +39,14 @@ void ClockLog::share_line(const ClockLog& of) noexcept {
   start_ = of.start_;
   offset_ = of.offset_;
   last_offset_ = of.last_offset_;
+  last_suspended_ = of.last_suspended_;
 }
 
 void ClockLog::use(Clock& clock) {
   clock_ = &clock;
   const auto [at, realtime] = both_times(clock);
-  start_ = {at, realtime, "system", clock.accuracy(), "start"};
+  last_suspended_ = clock.suspended();
+  start_ = {at, realtime, "system", clock.accuracy(), "start", last_suspended_};
   offset_ = difference(start_.monotonic.time_since_epoch(), start_.realtime.time_since_epoch());
   last_offset_ = offset_;
   system_ = {start_, start_, start_.accuracy};
@@ -69,8 +71,15 @@ ClockPair ClockLog::read(const char* occasion) noexcept { return read(both_times
 ClockPair ClockLog::read(const std::pair<MonotonicTime, Time>& both, const char* occasion) noexcept {
   const auto& [at, realtime] = both;
   const Duration offset = difference(at.time_since_epoch(), realtime.time_since_epoch());
-  return {at, is_step(difference(last_offset_, offset)) ? realtime : later(Time{last_offset_}, at.time_since_epoch()),
-          "system", clock_->accuracy(), occasion};
+  return {
+      at,       is_step(difference(last_offset_, offset)) ? realtime : later(Time{last_offset_}, at.time_since_epoch()),
+      "system", clock_->accuracy(),
+      occasion, suspended()};
+}
+
+Duration ClockLog::suspended() noexcept {
+  const Duration now = clock_->suspended();
+  return is_step(difference(last_suspended_, now)) ? now : last_suspended_;
 }
 
 bool ClockLog::look(const char* occasion) {
@@ -78,20 +87,30 @@ bool ClockLog::look(const char* occasion) {
   const auto both = clock_ == &manual_clock_ ? std::pair(manual_clock_.monotonic(), manual_clock_.realtime())
                                              : both_times(*clock_);
   const Duration offset = difference(both.first.time_since_epoch(), both.second.time_since_epoch());
-  const bool was_set = is_step(difference(last_offset_, offset));
+  const Duration moved = difference(last_offset_, offset);
+  const bool has_moved = is_step(moved);
   // The usual case, checked first.
-  if (!was_set && occasion == nullptr && span_between(system_.latest.monotonic, both.first) < clock_look_interval)
+  if (!has_moved && occasion == nullptr && span_between(system_.latest.monotonic, both.first) < clock_look_interval)
     return false;
   ClockPair pair = read(both, occasion);
-  if (was_set) {
-    runtime_.log(LogLevel::warning, "clock",
-                 "the time of day was set by " + to_string(difference(last_offset_, offset)) +
-                     "; recorded times continue without a jump, the step is recorded");
+  if (has_moved) {
+    const Duration asleep = difference(last_suspended_, pair.suspended);
+    const Duration set = difference(asleep, moved);
     last_offset_ = offset;
+    last_suspended_ = pair.suspended;
+    if (asleep > Duration{0})
+      runtime_.log(LogLevel::warning, "clock",
+                   "the computer was suspended for " +
+                       to_string(std::chrono::round<std::chrono::milliseconds>(asleep)) +
+                       "; schedules and recorded times stood still, UTC takes it into account");
+    if (is_step(set))
+      runtime_.log(LogLevel::warning, "clock",
+                   "the time of day was set by " + to_string(set) +
+                       "; recorded times continue without a jump, the step is recorded");
     // The clock was right until now (a leap second, a suspended machine): records its last value before the step.
     if (system_.latest.accuracy && system_.latest.monotonic > system_.recorded.monotonic)
       record(system_, system_.latest);
-    if (occasion == nullptr) pair.occasion = "step";
+    if (occasion == nullptr) pair.occasion = is_step(set) ? "step" : "suspended";
   } else if (occasion == nullptr) {
     pair.occasion = pair.accuracy.has_value() == system_.recorded.accuracy.has_value() ? "regular" : "sync";
     if (!system_.is_news(pair)) {
@@ -124,6 +143,7 @@ Result<void> ClockLog::note_wall_clock(ClockPair pair) {
     main->own_loop->post([main, pair] { [[maybe_unused]] const auto noted = main->clock_log.note_wall_clock(pair); });
     return {};
   }
+  pair.suspended = suspended();
   const auto known = std::find_if(plugged_.begin(), plugged_.end(),
                                   [&](const Source& s) { return s.latest.source == pair.source; });
   if (known == plugged_.end()) {

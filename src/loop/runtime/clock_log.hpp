@@ -32,8 +32,8 @@ class ClockLog {
   }
   const ClockPair& start() const noexcept { return start_; }
 
-  /// Records the time of day if it was set (moved by more than 1 ms against the monotonic clock), if its accuracy
-  /// changed, regularly while the accuracy is known, or always if an occasion is given. Returns true if it recorded.
+  /// Records the time of day if it was set (moved by more than 1 ms against the monotonic clock) or the machine was
+  /// suspended, if its accuracy changed, regularly while the accuracy is known, or always if an occasion is given. Returns true if it recorded.
   bool look(const char* occasion = nullptr);
   /// See Runtime::note_wall_clock.
   Result<void> note_wall_clock(ClockPair pair);
@@ -62,6 +62,8 @@ class ClockLog {
     bool is_news(const ClockPair& pair) const noexcept;
   };
   void use(Clock& clock);
+  /// See Clock::suspended; differences of less than 1 ms count as equal.
+  Duration suspended() noexcept;
   void record(Source& source, const ClockPair& pair);
 
   RuntimeCore& runtime_;
@@ -71,6 +73,7 @@ class ClockLog {
   Duration offset_{0};
   ClockPair start_;
   Duration last_offset_{0};
+  Duration last_suspended_{0};
   std::optional<Time> repeated_until_;
   Source system_;
   std::vector<Source> plugged_;
