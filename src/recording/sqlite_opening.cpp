@@ -52,7 +52,8 @@ void SqliteWriter::begin() {
   }
   const std::string recording = sqlite3_db_filename(database_.raw(), "main");  // without symbolic links
   lock_ = RecordingLock::take(recording).or_throw();
-  hold_file(database_).or_throw();
+  // With the lock SQLite would take the journal of a killed program for that of one at work.
+  if (::access((recording + "-journal").c_str(), F_OK) != 0) hold_file(database_).or_throw();
   format_of(database_, config_.path);
   live_.set_recording(recording);
   begin_in(recording);
