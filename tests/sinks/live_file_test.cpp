@@ -288,6 +288,7 @@ TEST_SUITE("sinks") {
         for (int i = 0; i < 5; ++i) topic.publish({1});
         loop.advance(3s);
         for (int i = 0; i < 3; ++i) topic.publish({1});
+        ::raise(SIGKILL);  // while they live
       })));
       record_some({.path = directory / "other.db"}, 10);
       CHECK(live.files().size() == 1);  // which is not of that one
