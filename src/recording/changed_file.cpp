@@ -6,13 +6,13 @@
 namespace rtdata::sqlite {
 
 ChangedFile::ChangedFile(const std::string& path, const char* doing) : doing_(doing) {
-  (void)Recording::open(path)
-      .or_throw();  // reports a file that is not a recording; opening it for writing would make one
   if (auto is_path = check_path(path); !is_path) {
     Error error = std::move(is_path).error();
     error.what = doing;
     throw SetupError(std::move(error));
   }
+  (void)Recording::open(path)
+      .or_throw();  // reports a file that is not a recording; opening it for writing would make one
   database_ = Database::open(path, Database::Mode::write);
   if (sqlite3_db_readonly(database_.raw(), "main") == 1)
     throw SetupError({Errc::not_permitted, doing, path, "it is read-only",

@@ -322,7 +322,7 @@ TEST_SUITE("sinks") {
     adding.sink->close();
     CHECK(script.calls.size() >= 4);  // and no close
     CHECK(std::count(script.calls.begin(), script.calls.end(), "open") ==
-          static_cast<std::ptrdiff_t>(script.calls.size()));
+          static_cast<std::ptrdiff_t>(script.calls.size()) - 1);  // and the first, live_counts
     CHECK(adding.loop.runtime().sinks().at(0).counts.all_dropped() == 1);
     CHECK(adding.loop.runtime().balances());
   }
