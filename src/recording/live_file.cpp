@@ -7,6 +7,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <climits>
 #include <cstdio>
@@ -24,19 +25,25 @@ struct LiveFile::Header {
   char magic[8];
   std::uint64_t layout;  // files of another version of the program are not read
   char uuid[48];
-  std::uint64_t device;  // of the recording's file
-  std::uint64_t inode;
+  std::uint64_t device;              // of the recording's file
+  std::atomic<std::uint64_t> inode;  // 0: it was not opened yet
   char recording[PATH_MAX];
   std::atomic<std::uint64_t> lacks_room;
-  std::atomic<std::uint64_t> is_counting;
+  std::atomic<std::uint64_t> has_row;
   std::atomic<std::uint64_t> slots;
+  char path[PATH_MAX];  // of the recording, as it was given
+  char name[256];
+  char boot_id[48];
+  std::int64_t started;
+  std::int64_t clock_offset;
+  std::int64_t pid;
 };
 
 namespace {
 
 constexpr char magic[8] = {'r', 't', 'd', 'a', 't', 'a', 'L', '\0'};
-constexpr std::uint64_t layout = (std::uint64_t{6} << 32) | sizeof(LiveSlot);
-constexpr std::size_t header_bytes = 8192;
+constexpr std::uint64_t layout = (std::uint64_t{7} << 32) | sizeof(LiveSlot);
+constexpr std::size_t header_bytes = 12288;
 constexpr std::size_t unit = 64 * 1024;  // a multiple of every page size
 constexpr const char* suffix = ".live";
 
@@ -92,9 +99,8 @@ Result<void> LiveFile::map_block(std::uint32_t block) {
   return {};
 }
 
-Result<LiveFile> LiveFile::make(const std::string& recording, const std::string& uuid) {
-  struct stat about {};
-  if (::stat(recording.c_str(), &about) != 0) return failed(errno, recording);
+Result<LiveFile> LiveFile::make(const std::string& path, const RunInfo& run) {
+  const std::string& uuid = run.uuid;
   std::optional<Error> first;
   for (const std::string& place : private_folders()) {
     auto folder = PrivateFolder::open(place);
@@ -125,10 +131,13 @@ Result<LiveFile> LiveFile::make(const std::string& recording, const std::string&
       }
       Header& header = *made.header_;
       header.layout = layout;
-      header.device = about.st_dev;
-      header.inode = about.st_ino;
       std::snprintf(header.uuid, sizeof header.uuid, "%s", uuid.c_str());
-      std::snprintf(header.recording, sizeof header.recording, "%s", recording.c_str());
+      std::snprintf(header.path, sizeof header.path, "%s", path.c_str());
+      std::snprintf(header.name, sizeof header.name, "%s", run.name.c_str());
+      std::snprintf(header.boot_id, sizeof header.boot_id, "%s", run.boot_id.c_str());
+      header.started = to_nanoseconds(run.started);
+      header.clock_offset = run.clock_offset.count();
+      header.pid = run.pid;
       std::memcpy(header.magic, magic, sizeof magic);
       return made;
     }
@@ -136,6 +145,33 @@ Result<LiveFile> LiveFile::make(const std::string& recording, const std::string&
     if (!first) first = failed(reason, place);
   }
   return std::move(*first);
+}
+
+void LiveFile::set_recording(const std::string& recording) noexcept {
+  struct stat about {};
+  if (header_ == nullptr || ::stat(recording.c_str(), &about) != 0) return;
+  header_->device = about.st_dev;
+  std::snprintf(header_->recording, sizeof header_->recording, "%s", recording.c_str());
+  header_->inode.store(about.st_ino, std::memory_order_release);
+}
+
+void LiveFile::set_has_row() noexcept {
+  if (header_ != nullptr) header_->has_row.store(1, std::memory_order_release);
+}
+
+RunInfo LiveFile::run() const {
+  RunInfo run;
+  run.uuid = header_->uuid;
+  run.name = header_->name;
+  run.boot_id = header_->boot_id;
+  run.started = from_nanoseconds(header_->started);
+  run.clock_offset = Duration{header_->clock_offset};
+  run.pid = header_->pid;
+  return run;
+}
+
+bool LiveFile::is_readable() const noexcept {
+  return header_ != nullptr && std::memcmp(header_->magic, magic, sizeof magic) == 0 && header_->layout == layout;
 }
 
 std::optional<LiveFile> LiveFile::open(const std::string& path, bool& is_held) {
@@ -164,8 +200,7 @@ Result<std::optional<LiveFile>> LiveFile::find(const std::string& recording, con
   for (const std::string& place : places) {
     bool is_held = false;
     auto found = open(place + "/" + uuid + suffix, is_held);
-    if (!found || found->header_ == nullptr || std::memcmp(found->header_->magic, magic, sizeof magic) != 0 ||
-        found->header_->layout != layout || uuid != found->header_->uuid || found->header_->inode != about.st_ino)
+    if (!found || !found->is_readable() || uuid != found->header_->uuid || found->header_->inode != about.st_ino)
       continue;
     if (is_held) {
       return Error{Errc::busy, "cannot record into", recording, "a process records into it, but its lock was removed",
@@ -176,10 +211,9 @@ Result<std::optional<LiveFile>> LiveFile::find(const std::string& recording, con
   return std::optional<LiveFile>();
 }
 
-void LiveFile::remove_left(const std::string& recording) {
-  struct stat ours {};
-  if (::stat(recording.c_str(), &ours) != 0) return;
-  for (const std::string& place : private_folders()) {
+template <class Function>
+void LiveFile::for_each_left(const std::vector<std::string>& places, Function&& function) {
+  for (const std::string& place : places) {
     const std::unique_ptr<DIR, int (*)(DIR*)> folder(::opendir(place.c_str()), &::closedir);
     if (folder == nullptr) continue;
     while (const dirent* entry = ::readdir(folder.get())) {
@@ -187,14 +221,41 @@ void LiveFile::remove_left(const std::string& recording) {
       if (!name.ends_with(suffix)) continue;
       bool is_held = false;
       auto found = open(place + "/" + name, is_held);
-      if (!found || is_held) continue;
-      const Header* header = found->header_;
-      if (header == nullptr) continue;  // another version's
-      const bool is_half_made = std::memcmp(header->magic, magic, sizeof magic) != 0;
-      const bool is_ours = header->inode == ours.st_ino && header->device == ours.st_dev;
-      if (is_half_made || is_ours || is_gone(header->recording, header->device, header->inode)) found->remove();
+      if (found && !is_held && found->header_ != nullptr) function(*found);  // no header: another version's
     }
   }
+}
+
+std::vector<LiveFile> LiveFile::without_row(const std::string& recording, const std::string& noted) {
+  std::vector<LiveFile> all;
+  struct stat ours {};
+  if (::stat(recording.c_str(), &ours) != 0) return all;
+  std::vector<std::string> places = private_folders();
+  if (noted.ends_with(suffix) && std::find(places.begin(), places.end(), folder_of(noted)) == places.end())
+    places.push_back(folder_of(noted));
+  for_each_left(places, [&](LiveFile& file) {
+    if (!file.is_readable() || file.header_->has_row != 0) return;
+    const Header& header = *file.header_;
+    struct stat named {};  // what it was to record into
+    if (header.inode == 0 && ::stat(header.path, &named) != 0) return;
+    const bool is_ours = header.inode == 0 ? named.st_ino == ours.st_ino && named.st_dev == ours.st_dev
+                                           : header.inode == ours.st_ino && header.device == ours.st_dev;
+    if (is_ours) all.push_back(std::move(file));
+  });
+  return all;
+}
+
+void LiveFile::remove_left(const std::string& recording) {
+  struct stat ours {};
+  if (::stat(recording.c_str(), &ours) != 0) return;
+  for_each_left(private_folders(), [&](LiveFile& file) {
+    const Header& header = *file.header_;
+    const bool is_half_made = std::memcmp(header.magic, magic, sizeof magic) != 0;
+    const bool is_ours = header.inode == ours.st_ino && header.device == ours.st_dev;
+    // What a kill left before its recording was opened waits for that one's next start.
+    const bool has_gone = header.inode != 0 && is_gone(header.recording, header.device, header.inode);
+    if (is_half_made || is_ours || has_gone) file.remove();
+  });
 }
 
 LiveFile::LiveFile(LiveFile&& other) noexcept
@@ -250,20 +311,8 @@ std::uint32_t LiveFile::slots() const noexcept {
   return header_ == nullptr ? 0 : static_cast<std::uint32_t>(header_->slots.load(std::memory_order_acquire));
 }
 
-void LiveFile::begin_counting() noexcept {
-  if (header_ != nullptr) header_->is_counting.store(1, std::memory_order_release);
-}
-
-void LiveFile::pause_counting() noexcept {
-  if (header_ != nullptr) header_->is_counting.store(0, std::memory_order_release);
-}
-
 bool LiveFile::lacks_room() const noexcept {
   return header_ == nullptr || header_->lacks_room.load(std::memory_order_acquire) != 0;
-}
-
-bool LiveFile::is_complete() const noexcept {
-  return !lacks_room() && header_->is_counting.load(std::memory_order_acquire) != 0;
 }
 
 void LiveFile::remove() noexcept {

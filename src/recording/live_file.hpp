@@ -1,4 +1,5 @@
-// Counts of a run that are not yet in its recording: a small memory-mapped file that survives a kill of the program. A
+// Counts of a run that are not yet in its recording: a small memory-mapped file that survives a kill of the program. It
+// is made before the recording is opened, so that a run which is killed before it has a row there is counted too. A
 // power failure destroys it; the losses are then unknown. It lies in a folder that only its user can write
 // (private_folder.hpp) and is named by the run's uuid. Its pages are allocated before they are written, so that a full
 // file system is an error and never a signal.
@@ -12,8 +13,10 @@
 #include <optional>
 #include <string>
 #include <type_traits>
+#include <vector>
 
 #include "rtdata/data/error.hpp"
+#include "rtdata/data/time.hpp"
 #include "rtdata/sinks/recording_writer.hpp"
 
 namespace rtdata::sqlite {
@@ -65,6 +68,18 @@ struct alignas(64) LiveSlot {
   Kept<LiveAccount> account;  ///< the loop's
 };
 
+/// How a run is named in the recording.
+struct RunInfo {
+  std::string uuid;
+  std::string name;
+  std::string notes;
+  std::string configuration;
+  std::string boot_id;
+  Time started{};
+  Duration clock_offset{0};
+  std::int64_t pid = 0;
+};
+
 class LiveFile {
  public:
   static constexpr std::uint32_t first_block = 64;
@@ -72,9 +87,18 @@ class LiveFile {
   static constexpr std::uint32_t most_slots = first_block * ((1u << most_blocks) - 1);
 
   LiveFile() = default;
-  /// Makes the file of a new run, with space for `first_block` slots. `recording` is the real path of its file. Errors:
-  /// no folder can be used; the run's counts are then kept in its own memory.
-  static Result<LiveFile> make(const std::string& recording, const std::string& uuid);
+  /// Makes the file of a new run, with space for `first_block` slots. `path` of its recording is absolute and not looked
+  /// at: its disk may be slow. Errors: no folder can be used; the run's counts are then kept in its own memory.
+  static Result<LiveFile> make(const std::string& path, const RunInfo& run);
+  /// The recording, whose lock the caller holds, has this real path.
+  void set_recording(const std::string& recording) noexcept;
+  /// The recording has a row of the run.
+  void set_has_row() noexcept;
+  /// Finds the files of ended runs of this recording, whose lock the caller holds, that had no row when they ended.
+  /// `noted`: as for `find`.
+  static std::vector<LiveFile> without_row(const std::string& recording, const std::string& noted);
+  /// The run, without its notes and its configuration.
+  RunInfo run() const;
   /// Finds the file of an ended run; empty if it did not survive or belongs to another recording (a copy). `noted`: its
   /// path from the lock file. Errors: busy if the run still runs.
   static Result<std::optional<LiveFile>> find(const std::string& recording, const std::string& uuid,
@@ -97,15 +121,8 @@ class LiveFile {
   Error no_room() const;
   /// How many slots were reserved.
   std::uint32_t slots() const noexcept;
-  /// From now on the file has all counts, including earlier ones. If the program is killed before that, the published
-  /// events of the run are unknown.
-  void begin_counting() noexcept;
-  /// As before `begin_counting`.
-  void pause_counting() noexcept;
   /// True if the file had no room for some slots.
   bool lacks_room() const noexcept;
-  /// True if the file has all counts of each slot, from the beginning on.
-  bool is_complete() const noexcept;
 
   // The slot must exist.
   LiveCounts& counts(std::uint32_t slot) noexcept { return blocks_[block_of(slot)].counts[offset_of(slot)]; }
@@ -128,7 +145,12 @@ class LiveFile {
   }
   static std::size_t bytes_of(std::uint32_t block) noexcept;
   Result<void> map_block(std::uint32_t block);
+  /// Calls it with each file in these folders that no process holds.
+  template <class Function>
+  static void for_each_left(const std::vector<std::string>& places, Function&& function);
   static std::optional<LiveFile> open(const std::string& path, bool& is_held);
+  /// True if the header is that of this version's files.
+  bool is_readable() const noexcept;
 
   std::string path_;
   int fd_ = -1;

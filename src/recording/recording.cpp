@@ -95,6 +95,10 @@ std::int64_t application_id_of(Database& opened, const std::string& path) {
       throw SetupError(no_recording(path, "it is not an SQLite file"));
     why.what = doing;
     why.where = path;
+    if (code == SQLITE_CANTOPEN && ::access((path + "-wal").c_str(), R_OK) == 0) {
+      why.why = "its newest data is in " + path + "-wal, which SQLite reads only where it can make " + path + "-shm";
+      why.advice = "copy both files into a folder that can be written, and read the copy";
+    }
     throw SetupError(std::move(why));
   }
 }

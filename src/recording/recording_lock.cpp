@@ -7,6 +7,8 @@
 
 #include <array>
 #include <cerrno>
+#include <chrono>
+#include <thread>
 #include <utility>
 
 #include "sinks/core/lock_holder.hpp"
@@ -56,6 +58,10 @@ Error no_lock_file(const std::string& path) {
 Error held(const std::string& recording, const std::string& holder, const char* advice) {
   return {Errc::busy, "cannot record into", recording, holder + " records into it", advice};
 }
+
+// A program that closes the file locks it for a moment.
+constexpr int most_tries = 20;
+constexpr std::chrono::milliseconds pause_between_tries{50};
 
 constexpr const char* to_stop_other = "stop that one, or record into another file";
 
@@ -137,6 +143,26 @@ Result<void> RecordingLock::check_free(const std::string& recording) {
   if (!holder) return std::move(holder).error();
   if (holder->empty()) return {};
   return held(recording, *holder, to_stop_other);
+}
+
+Result<void> hold_file(const Database& database) {
+  sqlite3_file* file = nullptr;
+  if (sqlite3_file_control(database.raw(), "main", SQLITE_FCNTL_FILE_POINTER, &file) != SQLITE_OK || file == nullptr ||
+      file->pMethods == nullptr)
+    return {};
+  int status = SQLITE_OK;
+  for (int tries = 0; tries < most_tries; ++tries) {
+    if (tries > 0) std::this_thread::sleep_for(pause_between_tries);
+    status = file->pMethods->xLock(file, SQLITE_LOCK_SHARED);
+    if (status == SQLITE_OK) status = file->pMethods->xLock(file, SQLITE_LOCK_RESERVED);
+    if ((status & 0xff) != SQLITE_BUSY) break;
+  }
+  if (status == SQLITE_OK) return {};
+  if ((status & 0xff) != SQLITE_BUSY)
+    return Error{Errc::io_failed, "cannot lock the recording", database.path(), sqlite3_errstr(status), ""};
+  return Error{Errc::busy, "cannot record into", database.path(),
+               "another program writes into it, perhaps under another name (a file that is mounted twice)",
+               to_stop_other};
 }
 
 RecordingLock::RecordingLock(RecordingLock&& other) noexcept

@@ -7,6 +7,7 @@
 #include <string>
 #include <string_view>
 
+#include "recording/database.hpp"
 #include "rtdata/data/error.hpp"
 
 namespace rtdata::sqlite {
@@ -40,5 +41,10 @@ class RecordingLock {
   std::string noted_;
   int fd_ = -1;
 };
+
+/// Locks the file itself, so that nobody records into it under another name (a bind mount, as of a container). It is a
+/// lock of SQLite's, which nothing else takes on a file with a WAL file, and which lasts as long as the connection; on a
+/// file without one, until the next use, so call it again then. Errors: busy.
+Result<void> hold_file(const Database& database);
 
 }  // namespace rtdata::sqlite

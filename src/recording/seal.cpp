@@ -1,9 +1,11 @@
 // Runs that ended without closing.
 #include <algorithm>
 #include <limits>
+#include <optional>
 #include <string_view>
 #include <unordered_map>
 
+#include "recording/schema.hpp"
 #include "recording/seal_account.hpp"
 #include "recording/sqlite_writer.hpp"
 #include "rtdata/data/time.hpp"
@@ -16,6 +18,8 @@ struct OpenRun {
   std::string uuid;
   std::int64_t ended;
   std::string remark;  // not empty: its account is incomplete anyway
+  std::optional<LiveFile> live = {};
+  bool had_row = true;
 };
 
 /// The tables of a topic that may hold rows of the run, newest version first.
@@ -163,8 +167,9 @@ void seal_topic(Database& database, const OpenRun& run, const std::string& topic
   }
 }
 
-std::string seal_run(Database& database, const OpenRun& run, LiveFile* live, AccountSums& sums) {
-  const bool is_known = live != nullptr && live->is_complete();
+std::string seal_run(Database& database, OpenRun& run, AccountSums& sums) {
+  LiveFile* const live = run.live ? &*run.live : nullptr;
+  const bool is_known = live != nullptr && !live->lacks_room();
   sums.add_run(database, run.run, AccountSums::Rows::go);
   auto query = database.prepare("SELECT DISTINCT topic FROM rtdata_ledger WHERE run = ?");
   auto topics = query.bind(1, run.run).texts();
@@ -192,6 +197,7 @@ std::string seal_run(Database& database, const OpenRun& run, LiveFile* live, Acc
     remark += "; at least " + std::to_string(lost_by_disk) +
               " of them had been committed, and the disk has lost them: it has the data up to an earlier transaction";
   }
+  if (!run.had_row) remark += "; it was killed before it had opened this file, so its configuration is unknown";
   auto update = database.prepare(
       "UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");
   update.bind(1, last_time).bind(3, remark).bind(4, run.run);
@@ -207,6 +213,21 @@ std::string seal_run(Database& database, const OpenRun& run, LiveFile* live, Acc
 
 }  // namespace
 
+void insert_run(const Database& database, const RunInfo& run, AccountSums& sums) {
+  auto insert = database.prepare(
+      "INSERT INTO rtdata_run(run, uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
+      "clock_offset, state, format) "
+      "SELECT 1 + max((SELECT coalesce(max(run), 0) FROM rtdata_run), (SELECT coalesce(max(last_run), 0) FROM "
+      "rtdata_deleted)), ?,?,?,?,?,?,?,?,?,?,?,'recording',? RETURNING *");
+  const std::string host = host_name();
+  const std::string program = "rtdata " RTDATA_VERSION;
+  insert.bind(1, run.uuid).bind(2, run.name).bind(3, run.notes).bind(4, run.configuration).bind(5, program).bind(6, host);
+  insert.bind(7, run.boot_id).bind(8, run.pid).bind(9, to_nanoseconds(run.started));
+  insert.bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
+  insert.bind(12, std::int64_t{schema_version});
+  sums.run(insert);
+}
+
 std::vector<std::string> seal_runs(Database& database, const std::string& recording, const std::string& noted,
                                    AccountSums& sums, std::vector<LiveFile>& used) {
   std::vector<OpenRun> open;
@@ -216,12 +237,19 @@ std::vector<std::string> seal_runs(Database& database, const std::string& record
       open.push_back({query.integer(0), std::string(query.text(1)), query.integer(2), std::string(query.text(3))});
     }
   }
+  for (OpenRun& run : open) run.live = LiveFile::find(recording, run.uuid, noted).or_throw();
+  auto row_of = database.prepare("SELECT 1 FROM rtdata_run WHERE uuid = ?");
+  for (LiveFile& live : LiveFile::without_row(recording, noted)) {
+    const RunInfo run = live.run();
+    row_of.reset();
+    if (row_of.bind(1, run.uuid).step()) continue;
+    insert_run(database, run, sums);
+    open.push_back({database.last_rowid(), run.uuid, to_nanoseconds(run.started), "", std::move(live), false});
+  }
   std::vector<std::string> remarks;
-  for (const OpenRun& run : open) {
-    auto live = LiveFile::find(recording, run.uuid, noted).or_throw();
-    auto remark = seal_run(database, run, live ? &*live : nullptr, sums);
-    if (live) used.push_back(std::move(*live));
-    remarks.push_back(remark);
+  for (OpenRun& run : open) {
+    remarks.push_back(seal_run(database, run, sums));
+    if (run.live) used.push_back(std::move(*run.live));
   }
   return remarks;
 }

@@ -60,14 +60,18 @@ void SqliteWriter::begin() {
     throw SetupError({Errc::not_permitted, "cannot record into", config_.path, "it is read-only",
                       "check the permissions of the file and its folder"});
   }
-  format_of(database_, config_.path);
   const std::string recording = sqlite3_db_filename(database_.raw(), "main");  // without symbolic links
   lock_ = RecordingLock::take(recording).or_throw();
+  // With the lock SQLite would take the journal of a killed program for that of one at work.
+  if (::access((recording + "-journal").c_str(), F_OK) != 0) hold_file(database_).or_throw();
+  format_of(database_, config_.path);
+  live_.set_recording(recording);
   begin_in(recording);
 }
 
 void SqliteWriter::begin_in(const std::string& recording) {
   configure();
+  hold_file(database_).or_throw();
   database_.execute("BEGIN IMMEDIATE");
   is_in_transaction_ = true;
   make_schema();
@@ -77,33 +81,24 @@ void SqliteWriter::begin_in(const std::string& recording) {
   // A program that is repeatedly killed at its start stores no rows, but its runs take space.
   if (pruner_.has_limits()) pruner_.make_room(database_, sums_, *positions_, info_.started);
   sums_.write(database_);
-  if (auto made = LiveFile::make(recording, info_.uuid)) {
-    const std::lock_guard lock(opening_mutex_);
-    live_ = std::move(*made);
-    counts_without_topics_ = !has_topics_;
-    if (counts_without_topics_) live_.begin_counting();
-  } else {
-    tell_of_live_file(made.error());
-  }
   is_in_transaction_ = false;
-  try {
-    database_.execute("COMMIT");
-  } catch (const SetupError&) {
-    const std::lock_guard lock(opening_mutex_);
-    live_.remove();
-    throw;
-  }
+  database_.execute("COMMIT");
+  live_.set_has_row();
   positions_->committed();
-  {
-    const std::lock_guard lock(opening_mutex_);
-    lock_.note(live_.path());
-  }
+  lock_.note(live_.path());
   remarks_ = std::move(remarks);
+  sealed_ = std::move(used);
+  log_inode_ = log_inode();
+}
+
+void SqliteWriter::end_beginning() {
   // The next start after a power failure must find this run, and the sealed data of killed runs, whose live files are
   // removed now.
   if (config_.profile == SqliteProfile::normal) sync().or_throw();
-  for (LiveFile& one : used) one.remove();
-  LiveFile::remove_left(recording);
+  for (LiveFile& one : sealed_) one.remove();
+  sealed_.clear();
+  LiveFile::remove_left(sqlite3_db_filename(database_.raw(), "main"));
+  has_begun_ = true;
 }
 
 void SqliteWriter::configure() {
@@ -149,19 +144,7 @@ void SqliteWriter::make_schema() {
 }
 
 void SqliteWriter::begin_run() {
-  const RunInfo& run = info_;
-  auto insert = database_.prepare(
-      "INSERT INTO rtdata_run(run, uuid, name, notes, configuration, program, host, boot_id, pid, started, ended, "
-      "clock_offset, state, format) "
-      "SELECT 1 + max((SELECT coalesce(max(run), 0) FROM rtdata_run), (SELECT coalesce(max(last_run), 0) FROM "
-      "rtdata_deleted)), ?,?,?,?,?,?,?,?,?,?,?,'recording',? RETURNING *");
-  const std::string host = host_name();
-  const std::string program = "rtdata " RTDATA_VERSION;
-  insert.bind(1, run.uuid).bind(2, run.name).bind(3, run.notes).bind(4, run.configuration).bind(5, program).bind(6, host);
-  insert.bind(7, run.boot_id).bind(8, std::int64_t{::getpid()}).bind(9, to_nanoseconds(run.started));
-  insert.bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
-  insert.bind(12, std::int64_t{schema_version});
-  sums_.run(insert);
+  insert_run(database_, info_, sums_);
   run_ = database_.last_rowid();
   positions_->begin_run(run_);
   pruner_.begin(run_);

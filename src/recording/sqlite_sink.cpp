@@ -36,7 +36,8 @@ std::unique_ptr<Writer> make_writer(Loop& loop, const SqliteConfig& config) {
                               runtime.configurations.whole(), runtime.clock().boot_id(),
                               runtime.exchange.begins_at(loop.time()),
                               runtime.clock_log.start().realtime.time_since_epoch() -
-                                  runtime.clock_log.start().monotonic.time_since_epoch()});
+                                  runtime.clock_log.start().monotonic.time_since_epoch(),
+                              ::getpid()});
 }
 
 }  // namespace
@@ -74,6 +75,12 @@ Result<void> check_path(const std::string& path) {
     return refuse(
         "it is longer, with its folders, than " + std::to_string(longest_path - longest_ending.size()) + " bytes",
         "choose a shorter one");
+  struct stat about {};
+  if (::stat(path.c_str(), &about) == 0 && S_ISREG(about.st_mode) && about.st_nlink > 1) {
+    return Error{Errc::not_permitted, "cannot record into", path,
+                 "it has several names (hard links), and its newest data may lie beside another one, in its -wal file",
+                 "remove all names but the one with a -wal file beside it, or record into another file"};
+  }
   return {};
 }
 

@@ -32,6 +32,12 @@ std::int64_t SqliteWriter::log_size() {
   return is_known ? size : -1;
 }
 
+std::uint64_t SqliteWriter::log_inode() const {
+  struct stat about {};
+  const char* const path = sqlite3_filename_wal(sqlite3_db_filename(database_.raw(), "main"));
+  return ::stat(path, &about) == 0 ? about.st_ino : 0;
+}
+
 bool SqliteWriter::is_log_cut_off() {
   if (is_log_lost_) return true;
   const std::int64_t size = log_size();

@@ -1,6 +1,8 @@
 #include "recording/sqlite_writer.hpp"
 
 #include <algorithm>
+#include <filesystem>
+#include <system_error>
 
 #include "data/permissions.hpp"
 #include "recording/sqlite_feed.hpp"
@@ -39,6 +41,16 @@ SqliteWriter::SqliteWriter(const SqliteConfig& config, RunInfo run)
     throw SetupError({Errc::bad_argument, "cannot record into", config_.path, "`max_age` is negative",
                       "set a positive time, or 0 for no limit"});
   }
+  std::error_code failed;
+  if (auto made = LiveFile::make(std::filesystem::absolute(config_.path, failed), info_)) {
+    live_ = *std::move(made);
+  } else {
+    tell_of_live_file(made.error());
+  }
+}
+
+SqliteWriter::~SqliteWriter() {
+  if (run_ == 0) live_.remove();  // the sink has told what it did not store
 }
 
 Result<void> SqliteWriter::open() try {
@@ -50,6 +62,7 @@ Result<void> SqliteWriter::open() try {
       throw;
     }
   }
+  if (!has_begun_) end_beginning();
   // Writes the run into the database itself. An error here occurs again, and is reported, when the WAL file is full.
   if (!checkpoint(SQLITE_CHECKPOINT_PASSIVE)) log_bytes_ = std::max<std::int64_t>(log_size(), 0);
   for (auto [statement, sql] : {std::pair{&begin_, "BEGIN IMMEDIATE"}, std::pair{&commit_, "COMMIT"}}) {
@@ -65,11 +78,6 @@ Result<void> SqliteWriter::open() try {
 void SqliteWriter::forget() noexcept {
   run_ = 0;
   is_in_transaction_ = false;
-  {
-    const std::lock_guard lock(opening_mutex_);
-    counts_without_topics_ = false;
-    live_ = LiveFile();
-  }
   database_ = Database();
   sums_.clear();
   positions_->rolled_back();
@@ -113,13 +121,7 @@ void SqliteWriter::tell_of_live_file(const Error& why) {
 }
 
 Result<void> SqliteWriter::add_topic(std::uint32_t, std::string_view topic, const Description& description) {
-  auto fits = check_columns(topic, description);
-  if (!fits || is_counting_) return fits;
-  const std::lock_guard lock(opening_mutex_);
-  has_topics_ = true;
-  // If the program is killed before the loop knows that the run has begun, the events published until then are unknown.
-  if (std::exchange(counts_without_topics_, false)) live_.pause_counting();
-  return fits;
+  return check_columns(topic, description);
 }
 
 std::optional<Error> SqliteWriter::take_warning() {
@@ -132,17 +134,18 @@ std::optional<Error> SqliteWriter::take_warning() {
                "check why the peer is away or slow, or raise the limit; `rtdata info` counts them"};
 }
 
-void SqliteWriter::begin_counting() {
-  live_.begin_counting();
-  is_counting_ = true;
-}
-
 Result<void> SqliteWriter::write(Batch& batch) try {
   if (has_moved()) {
     (void)checkpoint(
         SQLITE_CHECKPOINT_TRUNCATE);  // the WAL file stays at the old path: copies its content into the file
     throw SetupError({Errc::closed, "recording has ended", config_.path, "the file was deleted or moved",
                       "do not move or delete it during recording; start again"});
+  }
+  if (log_inode_ != 0 && log_inode() != log_inode_) {
+    (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // this connection still has it
+    throw SetupError({Errc::closed, "recording has ended", config_.path,
+                      "its WAL file, " + config_.path + "-wal, was deleted, moved or replaced",
+                      "do not change it during recording; the next start seals the run"});
   }
   auto next = batch.begin();
   // The batch comes again, after a part of it was stored.
@@ -345,9 +348,9 @@ Result<void> SqliteWriter::close() {
   account_.close();
   begin_ = Statement();
   commit_ = Statement();
-  read_account();
   if (!is_log_lost_)
     (void)checkpoint(SQLITE_CHECKPOINT_TRUNCATE);  // what stays in the WAL file is read from there: nothing is lost
+  read_account();                                  // as a reader has it from now on
   database_ = Database();
   if (!is_log_lost_) {  // otherwise the next start needs them
     live_.remove();

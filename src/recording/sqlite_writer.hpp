@@ -6,7 +6,6 @@
 #include <chrono>
 #include <map>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -26,21 +25,11 @@
 
 namespace rtdata::sqlite {
 
-/// How a run is named in the recording.
-struct RunInfo {
-  std::string uuid;
-  std::string name;
-  std::string notes;
-  std::string configuration;
-  std::string boot_id;
-  Time started{};
-  Duration clock_offset{0};
-};
-
 class SqliteWriter final : public RecordingWriter {
  public:
-  /// Touches no file. Throws SetupError.
+  /// Makes the live file, and touches nothing else. Throws SetupError.
   SqliteWriter(const SqliteConfig& config, RunInfo run);
+  ~SqliteWriter() override;
 
   Opening opening() const override { return Opening::at_set_up; }
   /// Opens and locks the file, updates its format, seals runs that ended without closing (reported as remarks), and
@@ -53,7 +42,6 @@ class SqliteWriter final : public RecordingWriter {
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) override;
   LiveCounts* live_counts(std::uint32_t slot) override;
   void keep(const OriginAccount& now, const Gap* closed) override;
-  void begin_counting() override;
   bool is_recording() const noexcept override { return true; }
   std::string run() const override { return info_.uuid; }
   std::shared_ptr<const RunReport> recorded() const override { return recorded_; }
@@ -66,6 +54,8 @@ class SqliteWriter final : public RecordingWriter {
   /// The work of `open`. After an error call `forget`.
   void begin();
   void begin_in(const std::string& recording);
+  /// Makes what `begin` did survive a power failure. Throws SetupError.
+  void end_beginning();
   /// Nothing has been opened yet.
   void forget() noexcept;
   void configure();
@@ -85,6 +75,8 @@ class SqliteWriter final : public RecordingWriter {
   /// True if another program truncated the WAL file before it was completely in the database.
   bool is_log_cut_off();
   std::int64_t log_size();
+  /// The inode of the WAL file at its path; 0: there is none.
+  std::uint64_t log_inode() const;
   /// After a transaction has committed, and after it was given up.
   void committed();
   void rolled_back();
@@ -110,11 +102,8 @@ class SqliteWriter final : public RecordingWriter {
   AccountSums sums_;
   RecordingLock lock_;  // of these members, released last
   LiveFile live_;
-  // During opening the loop counts in its own memory, so the live file is complete only if there is no topic yet.
-  std::mutex opening_mutex_;
-  bool has_topics_ = false;  // guarded by the mutex, as is the next
-  bool counts_without_topics_ = false;
-  bool is_counting_ = false;        // the loop's: it counts in the live file
+  std::vector<LiveFile> sealed_;    // of runs that `begin` has sealed
+  bool has_begun_ = false;          // and that is on the disk
   bool is_in_transaction_ = false;  // begun by us; read by the hook of the connection
   Database database_;
   std::int64_t run_ = 0;  // 0: none has begun
@@ -140,6 +129,7 @@ class SqliteWriter final : public RecordingWriter {
   SteadyTime readers_waited_for_at_{};
   int log_pages_ = 0;           // after the last transaction
   std::int64_t log_bytes_ = 0;  // of its file, as this writer left it
+  std::uint64_t log_inode_ = 0;
   std::size_t rows_in_last_ = 0;
   std::size_t stored_rows_ = 0;  // of the batch under way, in parts before this one
   int page_bytes_ = 4096;
@@ -155,8 +145,11 @@ inline constexpr std::array<std::string_view, 4> companion_endings{"-wal", "-shm
 /// Checks that SQLite treats the path as a file path, and that the companion files' names are not too long.
 Result<void> check_path(const std::string& path);
 
+/// Within a transaction: inserts the row of a run that begins.
+void insert_run(const Database& database, const RunInfo& run, AccountSums& sums);
+
 /// Within a transaction: seals every run still marked as recording, using its surviving live file. The caller holds the
-/// recording's lock, which had the text `noted`. Adds live files to remove to `used`. Returns a remark for each run.
+/// recording's lock, which had the text `noted`. Runs that were killed before they had a row get one. Adds live files to remove to `used`. Returns a remark for each run.
 std::vector<std::string> seal_runs(Database& database, const std::string& recording, const std::string& noted,
                                    AccountSums& sums, std::vector<LiveFile>& used);
 

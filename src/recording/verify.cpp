@@ -11,6 +11,7 @@
 #include <set>
 
 #include "data/saturating.hpp"
+#include "recording/live_file.hpp"
 #include "recording/recording_file.hpp"
 #include "recording/recording_lock.hpp"
 #include "recording/utc_line.hpp"
@@ -317,6 +318,14 @@ Result<RunReport> account_of(const Recording& recording, std::int64_t run) try {
 Result<VerifyReport> verify(const Recording& recording) try {
   VerifyReport report = detail::verify_contents(recording);
   detail::check_run_numbers(report);
+  for (const sqlite::LiveFile& live : sqlite::LiveFile::without_row(recording.path(), "")) {
+    const std::string uuid = live.run().uuid;
+    const auto is_it = [&](const RunReport& run) { return run.info.uuid == uuid; };
+    if (std::none_of(report.runs.begin(), report.runs.end(), is_it))
+      report.problems.emplace_back(
+          "A run was killed before it had opened this file, and is not in it: `rtdata seal` or the next start counts "
+          "what it lost.");
+  }
   return report;
 } catch (const SetupError& error) {
   return error.error();

@@ -149,6 +149,7 @@ TEST_SUITE("app") {
     CHECK(has(verdict(none, {.balances = false, .unknown = "tier fast"}), "the account is NOT complete: tier fast; "));
     CHECK(has(verdict(none, {.has_loss = true, .not_stored = 5}), "5 events were NOT stored; LOST: "));
     CHECK(has(verdict(none, {.has_loss = true, .not_stored = 1}), "1 event was NOT stored; LOST: "));
+    CHECK(has(verdict(none, {.not_closed = {"run.db"}}), "run.db was NOT closed; nothing lost that is known: "));
     none.waiting = 1;
     CHECK(has(verdict(none, {}), "1 event; 1 waits in a recording to be sent; ledger"));
     none.waiting = 12;

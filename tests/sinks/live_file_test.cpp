@@ -21,6 +21,9 @@
 #include <vector>
 
 #include "recording/private_folder.hpp"
+#include "recording/recording_lock.hpp"
+#include "rtdata/loop/timer.hpp"
+#include "rtdata/recording/runs.hpp"
 #include "rtdata/recording/sqlite.hpp"
 #include "rtdata/recording/verify.hpp"
 #include "rtdata/sensors/feed.hpp"
@@ -258,6 +261,62 @@ TEST_SUITE("sinks") {
     CHECK(live.files().size() == 1);
     log_of(path);
     CHECK(number(path, "SELECT lost FROM rtdata_run WHERE run = 2") == 2);
+    CHECK(live.files().empty());
+  }
+
+  TEST_CASE(
+      "killed before the recording was opened, at a first start and later: the seal makes a run of what was lost") {
+    enum class Opens { first_start, later_start, later_seal };
+    for (const Opens how : {Opens::first_start, Opens::later_start, Opens::later_seal}) {
+      CAPTURE(static_cast<int>(how));
+      LiveFolder live;
+      Directory directory;
+      const std::string path = directory / "folder/run.db";
+      std::optional<sqlite::RecordingLock> other;
+      if (how != Opens::first_start) {
+        std::filesystem::create_directory(directory / "folder");
+        log_of(path);
+        other = sqlite::RecordingLock::take(path).or_throw();  // such as `rtdata seal`, for a while
+      }
+      CHECK(WIFSIGNALED(killed_at_end([&] {
+        Loop loop{Loop::Manual{}};
+        loop.on_error([](const ErrorReport&) {});
+        std::optional<SqliteSink> sink;
+        const auto topic = loop.topic<Number>("a");
+        Timer timer(loop, 0ms, [&] { sink.emplace(loop, SqliteConfig{.path = path}); });  // as in a reload
+        loop.advance(1ms);
+        for (int i = 0; i < 5; ++i) topic.publish({1});
+        loop.advance(3s);
+        for (int i = 0; i < 3; ++i) topic.publish({1});
+        ::raise(SIGKILL);  // while they live
+      })));
+      record_some({.path = directory / "other.db"}, 10);
+      CHECK(live.files().size() == 1);  // which is not of that one
+      if (how == Opens::first_start) std::filesystem::create_directory(directory / "folder");
+      if (other) other->remove();
+      if (how != Opens::first_start) {
+        const VerifyReport report = recordings::verified(path);
+        CHECK(report.exit_code() == 1);
+        CHECK(recordings::problems_of(report).find("A run was killed before it had opened this file") !=
+              std::string::npos);
+      }
+      const std::vector<std::string> told = how == Opens::later_seal ? seal(path).or_throw() : log_of(path);
+      REQUIRE(told.size() == 1);
+      CHECK(told[0].find("8 more of sensors whose names are unknown") != std::string::npos);
+      CHECK(told[0].find("killed before it had opened this file") != std::string::npos);
+      CHECK(live.files().empty());
+      CHECK(number(path, "SELECT run FROM rtdata_run WHERE state = 'sealed'") == (how == Opens::first_start ? 1 : 2));
+      CHECK(number(path, "SELECT lost FROM rtdata_run WHERE state = 'sealed'") == 8);
+      CHECK(recordings::verified(path).verdict() == Verdict::sealed);
+      CHECK(log_of(path).empty());
+      CHECK(number(path, "SELECT count(*) FROM rtdata_run WHERE state = 'sealed'") == 1);
+    }
+  }
+
+  TEST_CASE("a start that is refused leaves no counts behind") {
+    LiveFolder live;
+    Directory directory;
+    CHECK(refusal({.path = directory / "no/such/folder/run.db"}) != "");
     CHECK(live.files().empty());
   }
 

@@ -11,12 +11,14 @@
 #include <sstream>
 
 #include "app/core/recording_commands.hpp"
+#include "has.hpp"
 #include "rtdata/recording/export.hpp"
 #include "rtdata/recording/verify.hpp"
 #include "sinks/recordings.hpp"
 
 using namespace rtdata;
 using namespace recordings;
+using rtdata::test::has;
 
 TEST_SUITE_BEGIN("sinks");
 
@@ -286,6 +288,32 @@ TEST_CASE("FW-5 a file that may not be read says so") {
   if (user == 0) REQUIRE(::seteuid(user) == 0);
   CHECK(is_read);
   ::chmod((folder / "").c_str(), 0755);
+}
+
+TEST_CASE("FW-5 a killed recording in a folder that cannot be written: the error says what to copy") {
+  const Folder folder;
+  const std::string path = folder / "run.db";
+  const Folder read_only;
+  const std::string there = read_only / "run.db";
+  {
+    Loop loop{Loop::Manual{}};
+    SqliteSink sink(loop, {.path = path});
+    Feed<Climate> feed(loop, {.name = "a", .topic = "a"});
+    feed.publish({});
+    loop.advance(2s);
+    for (const char* part : {"", "-wal"}) std::filesystem::copy_file(path + part, there + part);
+    loop.close();
+  }
+  for (const char* part : {"", "-wal"}) ::chmod((there + part).c_str(), 0444);
+  ::chmod((read_only / "").c_str(), 0555);
+  const uid_t user = ::geteuid();
+  if (user == 0) REQUIRE(::seteuid(65534) == 0);
+  const auto opened = Recording::open(there);
+  if (user == 0) REQUIRE(::seteuid(user) == 0);
+  ::chmod((read_only / "").c_str(), 0755);
+  REQUIRE_FALSE(opened);
+  CHECK_MESSAGE(has(opened.error().why, "its newest data is in " + there + "-wal"), opened.error().text());
+  CHECK(has(opened.error().advice, "copy both files into a folder that can be written"));
 }
 
 TEST_CASE("FW-5 a value that does not fit its field is damage, named with its place") {

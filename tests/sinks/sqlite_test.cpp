@@ -2,6 +2,7 @@
 
 #include <doctest/doctest.h>
 #include <fcntl.h>
+#include <sched.h>
 #include <sqlite3.h>
 #include <sys/file.h>
 #include <sys/mount.h>
@@ -14,11 +15,13 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <optional>
 #include <sstream>
 
 #include "data/payloads.hpp"
 #include "recording/database.hpp"
 #include "rtdata/loop/timer.hpp"
+#include "rtdata/recording/runs.hpp"
 #include "rtdata/recording/verify.hpp"
 #include "rtdata/sensors/feed.hpp"
 #include "rtdata/sensors/sensor.hpp"
@@ -315,6 +318,59 @@ TEST_SUITE("sinks") {
     CHECK(::waitpid(holder, nullptr, 0) == holder);
     for (const int fd : {ready[0], ready[1], release[0]}) ::close(fd);
     record(path, 10);
+    CHECK(verdict_of(path) == Verdict::balanced);
+  }
+
+  TEST_CASE("US-26 a recording with a second name is refused under both, and stays as it is") {
+    Directory directory;
+    const std::string path = directory / "run.db";
+    const std::string second = directory / "second.db";
+    record(path, 10);
+    std::filesystem::create_hard_link(path, second);
+    for (const std::string& name : {path, second}) {
+      CAPTURE(name);
+      const std::string message = refusal({.path = name});
+      CHECK(message.starts_with("not-permitted: "));
+      CHECK(message.find("it has several names (hard links)") != std::string::npos);
+      const auto checked = check_recordable(name);
+      REQUIRE(!checked);
+      CHECK(checked.error().id() == "not-permitted");
+      const auto sealed = seal(name);
+      REQUIRE(!sealed);
+      CHECK(sealed.error().what == "cannot seal");
+      for (const char* part : {"-wal", "-lock"}) CHECK(!std::filesystem::exists(name + part));
+    }
+    std::filesystem::remove(second);
+    record(path, 10);
+    CHECK(verdict_of(path) == Verdict::balanced);
+  }
+
+  TEST_CASE("US-26 a recording under way that is mounted under a second name is refused under it, and stays whole") {
+    Directory directory;
+    const std::string path = directory / "run.db";
+    const std::string second = directory / "second.db";
+    const int status = status_of([&] {
+      std::ofstream{second};
+      record(path, 1);
+      if (::unshare(CLONE_NEWNS) != 0 || ::mount("none", "/", nullptr, MS_REC | MS_PRIVATE, nullptr) != 0 ||
+          ::mount(path.c_str(), second.c_str(), nullptr, MS_BIND, nullptr) != 0)
+        ::_exit(77);
+      Loop loop{Loop::Manual{}};
+      std::optional<SqliteSink> sink;
+      sink.emplace(loop, SqliteConfig{.path = path});
+      const std::string of_sink = refusal({.path = second});
+      const auto of_seal = seal(second);
+      if (!of_sink.starts_with("busy: ") || of_seal || of_seal.error().id() != "busy") ::_exit(2);
+      if (std::filesystem::exists(second + "-wal") && std::filesystem::file_size(second + "-wal") != 0) ::_exit(3);
+      loop.close();
+      ::_exit(0);
+    });
+    if (WIFEXITED(status) && WEXITSTATUS(status) == 77) {
+      MESSAGE("skipped: mounting is not permitted here");
+      return;
+    }
+    CHECK(WIFEXITED(status));
+    CHECK(WEXITSTATUS(status) == 0);
     CHECK(verdict_of(path) == Verdict::balanced);
   }
 

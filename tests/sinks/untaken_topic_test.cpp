@@ -10,6 +10,7 @@
 #include "recording/database.hpp"
 #include "rtdata/app/program.hpp"
 #include "rtdata/config/system.hpp"
+#include "rtdata/recording/runs.hpp"
 #include "rtdata/recording/sqlite.hpp"
 #include "rtdata/recording/verify.hpp"
 #include "rtdata/sinks/file.hpp"
@@ -288,6 +289,43 @@ TEST_SUITE("sinks") {
       REQUIRE(report.runs.size() == 3);
       CHECK(report.runs[1].info.state == RunState::sealed);
       CHECK(report.runs[1].info.lost == 19);
+    }
+  }
+
+  TEST_CASE(
+      "US-26 a WAL file that is deleted or replaced while it is recorded ends the recording, which loses no row") {
+    for (const bool is_replaced : {false, true}) {
+      CAPTURE(is_replaced);
+      sinks::Directory directory;
+      const std::string path = directory / "run.db";
+      {
+        Loop loop{Loop::Manual{}};
+        std::vector<std::string> errors;
+        loop.on_error([&](const ErrorReport& report) { errors.push_back(report.error.text()); });
+        SqliteSink sink(loop, {.path = path});
+        publish(loop, "a", 3);
+        loop.advance(2s);
+        CHECK(sink.counts().stored == 3);
+        const std::string log = path + "-wal";
+        std::filesystem::rename(log, log + "-away");
+        if (is_replaced) std::ofstream{log};
+        publish(loop, "a", 4);
+        loop.advance(2s);
+        CHECK(sink.health() == Health::faulted);
+        CHECK(refused(sink) == 4);
+        REQUIRE(errors.size() == 1);
+        CHECK(has(errors[0],
+                  "recording has ended: " + path + ": its WAL file, " + log + ", was deleted, moved or replaced"));
+        loop.close(1s);
+        CHECK(loop.runtime().has_loss());
+      }
+      CHECK(seal(path).or_throw().size() == 1);
+      const VerifyReport report = verify(Recording::open(path).or_throw()).or_throw();
+      CAPTURE(report.text());
+      CHECK(report.exit_code() == 0);
+      REQUIRE(report.runs.size() == 1);
+      CHECK(report.runs[0].rows == 3);
+      CHECK(report.runs[0].info.lost == 4);
     }
   }
 

@@ -128,15 +128,12 @@ class RecordingWriter : public Writer {
   /// constructor throws the error.
   virtual Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description);
   /// Returns the memory where the sink counts the events offered to a slot; null: its own memory. Called once for each
-  /// new slot; with `Opening::at_set_up` after `open` has returned, then for all slots so far, in order.
+  /// new slot, in order, also before `open` and while the lane is at work.
   virtual LiveCounts* live_counts(std::uint32_t slot);
   /// Passes an origin's current account when it changes without an event: a tick without a sample, a changed schedule.
   /// A writer may store it in memory that survives a kill. Not called after the last account. `closed`: ended gaps that
   /// may be missing from the stored accounts, joined into one; null: none.
   virtual void keep(const OriginAccount& now, const Gap* closed);
-  /// With `Opening::at_set_up`, called after `open`, when all earlier counts have been moved to the memory of
-  /// `live_counts` and `keep`; from now on these are current.
-  virtual void begin_counting() {}
   /// True if other sinks can use it for `through`.
   virtual bool is_recording() const noexcept { return false; }
   /// The uuid of a recording's run, from the start. Any thread.

@@ -214,6 +214,7 @@ std::string verdict(const Status& status, const Ending& ending) {
 
   std::string text;
   if (!ending.unknown.empty()) text += "the account is NOT complete: " + ending.unknown + "; ";
+  for (const std::string& path : ending.not_closed) text += path + " was NOT closed; ";
   if (ending.not_stored > 0)
     text += std::to_string(ending.not_stored) +
             (ending.not_stored == 1 ? " event was NOT stored; " : " events were NOT stored; ");
@@ -221,11 +222,11 @@ std::string verdict(const Status& status, const Ending& ending) {
   for (const std::string& sink : ending.unknown_backlogs)
     text += "the backlog in a recording is NOT known (" + sink + "); ";
   if (!mute.empty()) text += "NO EVENT ever came from " + mute + "; ";
-  text += losses.empty()
-              ? (mute.empty() && ending.unknown_backlogs.empty() && ending.unknown.empty() && ending.not_made.empty()
-                     ? "nothing lost: "
-                     : "nothing lost that is known: ")
-              : "LOST: " + losses + "; taken: ";
+  text += losses.empty() ? (mute.empty() && ending.unknown_backlogs.empty() && ending.unknown.empty() &&
+                                    ending.not_made.empty() && ending.not_closed.empty()
+                                ? "nothing lost: "
+                                : "nothing lost that is known: ")
+                         : "LOST: " + losses + "; taken: ";
   text += std::to_string(all.published) + (all.published == 1 ? " event" : " events");
   if (all.late > 0) text += ", " + std::to_string(all.late) + " of them late";
   if (status.waiting > 0)

@@ -19,11 +19,12 @@ std::string recorded_text(const Status& status);
 
 /// Further facts for the verdict.
 struct Ending {
-  bool balances = true;          ///< every equation of the ledger
-  bool has_loss = false;         ///< from the runtime
-  std::string unknown = {};      ///< what the account does not contain; empty: it is complete
-  std::uint64_t not_stored = 0;  ///< events still queued at the deadline of closing
-  std::string not_made = {};     ///< parts that a reload could not make: "sink far"
+  bool balances = true;                      ///< every equation of the ledger
+  bool has_loss = false;                     ///< from the runtime
+  std::string unknown = {};                  ///< what the account does not contain; empty: it is complete
+  std::uint64_t not_stored = 0;              ///< events still queued at the deadline of closing
+  std::string not_made = {};                 ///< parts that a reload could not make: "sink far"
+  std::vector<std::string> not_closed = {};  ///< recordings, which the next start seals
   /// Sinks with `through` that could not read their recording, with the reason; their backlog is unknown.
   std::vector<std::string> unknown_backlogs = {};
 };

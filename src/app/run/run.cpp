@@ -471,9 +471,9 @@ class Run {
         ending.unknown_backlogs.push_back("sink " + sink.name + (sink.reason.empty() ? "" : ": " + sink.reason));
       constexpr auto refused = static_cast<std::size_t>(DropReason::refused);
       if (recordings_.contains(sink.name) && sink.dropped[refused] != 0) is_all_stored = false;  // by the disk
-      if (sink.is_recording && sink.recorded == nullptr) is_all_stored = false;                  // it is not closed
+      if (sink.is_recording && sink.recorded == nullptr) ending.not_closed.push_back(sink.path);
     }
-    is_all_stored = is_all_stored && ending.unknown_backlogs.empty();
+    is_all_stored = is_all_stored && ending.unknown_backlogs.empty() && ending.not_closed.empty();
     std::string said = verdict(status, ending);
     if (!unsafe.empty()) said += "; NOT known to be safe: " + unsafe;
     const LogLevel level = !ending.balances || !is_all_stored || !unsafe.empty() ? LogLevel::error

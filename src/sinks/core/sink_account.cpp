@@ -73,11 +73,9 @@ void SinkAccount::follow_new(TopicCore& topic, SinkNode& sink) {
   if (awaited_.erase(topic.name) != 0) follow(topic, sink, Tiers::ahead);
 }
 
-void SinkAccount::move_counts(LoopCore& loop) noexcept {
+void SinkAccount::keep_all(LoopCore& loop) noexcept {
   const LoopCore::OffLimits off_limits(loop);  // to what the writer does
-  queue_->move_counts();
-  for (const auto& tap : taps_) tap->move_counts();
-  queue_->begin_counting();
+  for (const auto& tap : taps_) tap->keep_all();
 }
 
 void SinkAccount::end() noexcept {

@@ -32,8 +32,8 @@ class SinkAccount {
   void follow_new(TopicCore& topic, SinkNode& sink);
   /// One of them is counted on another loop already, and `follow_all` is to be called. Asked once.
   bool is_follow_due() noexcept { return std::exchange(is_follow_due_, false); }
-  /// After the writer was opened at set-up: moves the counts to the writer's memory.
-  void move_counts(LoopCore& loop) noexcept;
+  /// Gives the writer, which was opened at set-up, the account of each origin.
+  void keep_all(LoopCore& loop) noexcept;
   /// A recording has begun, or ended.
   void look_at_runs() {
     for (const auto& tap : taps_) tap->look_at_run();

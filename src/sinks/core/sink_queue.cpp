@@ -30,8 +30,7 @@ SinkQueue::SinkQueue(const SinkConfig& config, std::unique_ptr<Writer> writer)
       opens_at_set_up_(recording_ != nullptr && recording_->opening() == RecordingWriter::Opening::at_set_up),
       pace_(recording_ != nullptr ? recording_->pace() : StorePace{}),
       due_rows_(pace_.bytes == 0 ? config.batch_rows : std::numeric_limits<std::size_t>::max()),
-      chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)),
-      counts_live_(recording_ != nullptr && !opens_at_set_up_) {
+      chunks_(std::max<std::size_t>(config.queue_bytes / chunk_bytes, 4)) {
   const std::size_t part = std::max<std::size_t>(1, chunks_.size() / 8);
   due_chunks_ = pace_.bytes == 0 ? (chunks_.size() + 1) / 2
                                  : std::clamp<std::size_t>(pace_.bytes / chunk_bytes, 1, part);
@@ -106,26 +105,12 @@ void SinkQueue::call_on_loop(const char* name, Call&& call) noexcept {
 
 LiveCounts* SinkQueue::live_counts_of(std::uint32_t index) noexcept {
   LiveCounts* counts = nullptr;
-  if (counts_live_) call_on_loop("live_counts", [&] { counts = recording_->live_counts(index); });
+  if (recording_ != nullptr) call_on_loop("live_counts", [&] { counts = recording_->live_counts(index); });
   return counts;
 }
 
-void SinkQueue::move_counts() noexcept {
-  counts_live_ = true;
-  for (std::uint32_t i = 0; i < slot_count(); ++i) {
-    LiveCounts* live = live_counts_of(i);
-    if (live == nullptr) continue;
-    *live = *slot(i).live;
-    slot(i).live = live;
-  }
-}
-
-void SinkQueue::begin_counting() noexcept {
-  call_on_loop("begin_counting", [&] { recording_->begin_counting(); });
-}
-
 void SinkQueue::keep(const OriginAccount& now, const Gap* closed) noexcept {
-  if (counts_live_) call_on_loop("keep", [&] { recording_->keep(now, closed); });
+  if (recording_ != nullptr) call_on_loop("keep", [&] { recording_->keep(now, closed); });
 }
 
 ChunkHeader* SinkQueue::take_chunk(std::uint32_t index) {

@@ -180,10 +180,6 @@ class SinkQueue {
   Result<void> add_topic(std::uint32_t number, std::string_view topic, const Description& description) {
     return recording_ != nullptr ? recording_->add_topic(number, topic, description) : Result<void>{};
   }
-  /// The writer has been opened at set-up: moves the counts of all slots to where it keeps them.
-  void move_counts() noexcept;
-  /// All earlier counts are in the writer's memory.
-  void begin_counting() noexcept;
   void keep(const OriginAccount& now, const Gap* closed) noexcept;
   /// The error of one of these calls that was not reported yet.
   std::optional<Error> take_set_up_error() noexcept { return std::exchange(set_up_error_, std::nullopt); }
@@ -311,7 +307,6 @@ class SinkQueue {
 
   // loop
   std::optional<Error> set_up_error_;
-  bool counts_live_;  // the writer has been opened as far as it must be to keep counts
   ChunkHeader* filling_ = nullptr;
   std::size_t rows_since_handover_ = 0;
   std::uint64_t rows_since_account_ = 0;

@@ -164,7 +164,7 @@ void SinkNode::work_done(LaneJob::Outcome outcome) {
     }
     if (turn.has_opened()) {
       is_to_open_ = false;
-      if (turn.result && life_ == Life::attached) account_.move_counts(*loop());
+      if (turn.result && life_ == Life::attached) account_.keep_all(*loop());
     }
     if (turn.refused != 0 && recording_ != nullptr) recording_->are_positions_due_ = true;  // there are their keys
     const Health before = health_;

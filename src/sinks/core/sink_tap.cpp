@@ -125,13 +125,9 @@ void SinkTap::look_at_run() {
     if (knows(*origin)) begin_slot(*origin);
 }
 
-void SinkTap::move_counts() noexcept {
-  for (const OriginCore* origin : topic_.origins()) {
-    if (!knows(*origin)) continue;
-    OriginSlot& place = places_[origin->index];
-    place.live = queue_->slot(place.slot).live;
-    keep(*origin, Now::between_events);
-  }
+void SinkTap::keep_all() noexcept {
+  for (const OriginCore* origin : topic_.origins())
+    if (knows(*origin)) keep(*origin, Now::between_events);
 }
 
 void SinkTap::keep(const OriginCore& origin, Now when) noexcept {

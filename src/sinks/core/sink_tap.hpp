@@ -32,8 +32,8 @@ class SinkTap final : public Tap {
   /// A segment of the origin has ended; `segment` is the part to record. The writer keeps it until the next one begins,
   /// since no stored account may have it yet.
   void note_ended(const OriginCore& origin, const Segment& segment) noexcept;
-  /// The queue has moved the counts of all slots into the writer's memory: counts there from here on.
-  void move_counts() noexcept;
+  /// Gives the writer the account of each origin.
+  void keep_all() noexcept;
   /// A recording has begun, or ended: later events may belong to another run.
   void look_at_run();
   /// From here on the origins' accounts that the writer keeps are not changed any more.
