@@ -42,9 +42,9 @@ class RecordingLock {
   int fd_ = -1;
 };
 
-/// Locks the file itself, so that nobody records into it under another name (a bind mount, as of a container). It is a
-/// lock of SQLite's, which nothing else takes on a file with a WAL file, and which lasts as long as the connection; on a
-/// file without one, until the next use, so call it again then. Errors: busy.
+/// Locks the file itself, so that nobody records into it under another name (a bind mount, as of a container). It is
+/// SQLite's RESERVED lock, which nothing else takes on a file with a WAL file; it lasts as long as the connection. On a
+/// file without a WAL file it lasts until the next use: call this again then. Errors: busy.
 Result<void> hold_file(const Database& database);
 
 }  // namespace rtdata::sqlite

@@ -313,7 +313,7 @@ TEST_SUITE("app") {
             "nan.csv:3: \"nan\" in column t is not a time: write a number, or a time such as");
     folder.write("late.csv", "t,v\n0,1\n40000000,2\n");
     refuses({"late.csv", "--time", "t", "--start", "2261-01-01T00:00:00Z"}, "late.csv:3: \"40000000\"");
-    refuses({"late.csv", "--time", "t", "--start", "2261-01-01T00:00:00Z"}, "to 2261: check --start\n");
+    refuses({"late.csv", "--time", "t", "--start", "2261-01-01T00:00:00Z"}, "to 2261: check --start [bad-argument]\n");
     for (const std::string& mark : {std::string("\xff\xfe"), std::string("\xfe\xff")}) {
       std::ofstream(folder.path() + "/wide.csv", std::ios::binary) << mark << std::string("t\0,\0v\0\n\0", 8);
       refuses({"wide.csv", "--time", "t"},

@@ -155,7 +155,7 @@ TEST_SUITE("fsm") {
         lines ==
         Lines{
             R"(f.json:3:46: machines[0].start: there is no state "aa" in `states`)",
-            R"(f.json:3:102: machines[0].states[2].name: there is a state "a" already)",
+            R"(f.json:3:102: machines[0].states[2].name: there is already a state "a")",
             R"(f.json:5:40: machines[0].transitions[1].to: there is no state "d" in `states`)",
             "f.json:6:53: machines[0].transitions[2].when: it is a number, not a condition: compare it with something",
             "f.json:7:52: machines[0].transitions[3].for: `for` needs a `when`, which must be true for this long: add "

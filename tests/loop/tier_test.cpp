@@ -478,7 +478,7 @@ TEST_SUITE("loop") {
     const Feed<Count> here(loop, {.name = "here"});
     CHECK_THROWS_WITH_AS(Feed<Count>(loop, {.name = "there", .topic = "other"}),
                          "cannot make sensor: there: there is one of that name already on loop fast: give each sensor "
-                         "a `name` of its own",
+                         "a `name` of its own [busy]",
                          SetupError);
     CHECK_THROWS_AS(Feed<Count>(slow.loop(), {.name = "there"}), SetupError);
     CHECK_THROWS_AS(Feed<Count>(slow.loop(), {.name = "here"}), SetupError);
@@ -506,8 +506,7 @@ TEST_SUITE("loop") {
       fast.call(burst);
       const char* const refusal =
           "cannot make sensor: x: earlier in this run it was on loop fast, to which its name belongs: start the "
-          "program "
-          "again, or give it another name";
+          "program again, or give it another name [busy]";
       CHECK_THROWS_WITH_AS(slow.call(burst), refusal, SetupError);
       CHECK_THROWS_WITH_AS(burst(loop), refusal, SetupError);
       if (round % 3 == 0) loop.run_for(1ms);

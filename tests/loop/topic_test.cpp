@@ -628,7 +628,7 @@ TEST_SUITE("loop") {
     CHECK_THROWS_WITH_AS(
         Loop(runtime, {.name = "third"}),
         "cannot make a loop: third: its runtime has loop main already: give each loop a runtime of its own; for a loop "
-        "on another thread make a Tier",
+        "on another thread make a Tier [busy]",
         SetupError);
     const auto topic = other.topic<Number>("t");
     topic.publish({});

@@ -471,8 +471,8 @@ TEST_SUITE("process") {
         "not a finite number"));
     // As a float.
     CHECK(has(unreadable({{"maybe", calibrated({.scale = 1e30})}}, {0, 0, 1e20f}), "not a finite number"));
-    CHECK(has(unreadable({{"level", calibrated({.least = 0})}}, {-0.5, 0, {}}), "-0.5 is below 0, the least"));
-    CHECK(has(unreadable({{"level", calibrated({.most = 9})}}, {9.5, 0, {}}), "9.5 is above 9, the most"));
+    CHECK(has(unreadable({{"level", calibrated({.least = 0})}}, {-0.5, 0, {}}), "-0.5 is below 0 (`least`)"));
+    CHECK(has(unreadable({{"level", calibrated({.most = 9})}}, {9.5, 0, {}}), "9.5 is above 9 (`most`)"));
   }
 
   TEST_CASE("US-27 a scheduled sensor fails the read of an unusable value, and a gap says so") {

@@ -561,7 +561,7 @@ TEST_SUITE("sensors") {
               .find("0x90 is an 8-bit address, with the read/write bit; the 7-bit address is 0x48") !=
           std::string::npos);
     CHECK(problems(R"({"name": "b", "type": "lm75", "rate": "1 Hz", "address": "high"})")
-              .find("is not a 7-bit address") != std::string::npos);
+              .find("\"high\" is not an address") != std::string::npos);
     CHECK(problems(R"({"name": "b", "type": "barometer", "rate": "1 Hz", "bus": "i2c1", "pressure_oversampling": 3})")
               .find("3 is not one of 1, 2, 4, 8, 16") != std::string::npos);
     CHECK(

@@ -286,7 +286,7 @@ TEST_CASE("US-7 an answer that cannot be decoded is unreadable, and it is said w
   is_told(R"({"x": "secret-token"})", "\"(secret)\" is not a number");
   is_told(R"({"x": 1)", "it is not JSON");
   is_told(R"({"state": "starting", "x": 0})", "the device says that it has no value");
-  is_told("{\"x\": 1" + std::string(1000, ' ') + "}", "it is longer than 1000 bytes: `max_answer` sets");
+  is_told("{\"x\": 1" + std::string(1000, ' ') + "}", "it is longer than 1000 bytes: set a larger `max_answer`");
   CHECK(has(bench.error_in("endless"), "it is longer than 1000 bytes"));
   CHECK(bench.sensor.counts().unreadable == 10);
   CHECK(bench.sensor.counts().failed == 10);  // as ticks

@@ -178,8 +178,8 @@ int bench(const BenchOptions& options) {
     const cpu_set_t there = detail::bindable_processors();
     if (*options.cpu < 0 || *options.cpu >= CPU_SETSIZE || !CPU_ISSET(static_cast<std::size_t>(*options.cpu), &there)) {
       print_error(std::cerr,
-                  "--cpu " + std::to_string(*options.cpu) + ": this program may not use this processor; available: " +
-                      detail::list_of(there),
+                  "--cpu " + std::to_string(*options.cpu) +
+                      ": this program may not use this processor; available: " + detail::list_of(there),
                   "bad-argument");
       return exit_other;
     }

@@ -254,8 +254,7 @@ Action prepare_plot(CLI::App& command) {
     if (!options->part.last.empty()) {
       const Result<Duration> window = parse_duration(options->part.last);
       if (!window || *window < std::chrono::seconds{1} || *window > std::chrono::hours{1}) {
-        print_error(std::cerr,
-                    "--last of a running instance is 1 s to 1 h; for more, plot a recording: rtdata plot DB",
+        print_error(std::cerr, "--last of a running instance is 1 s to 1 h; for more, plot a recording: rtdata plot DB",
                     "bad-argument");
         return exit_other;
       }

@@ -156,7 +156,7 @@ Finding examine_pwm(const MachineFiles& files, const PartPlan& part) {
   std::int64_t channels = 0;
   std::from_chars(count->data(), count->data() + count->size(), channels);
   if (channel >= channels)
-    return missing(part, chip + " has " + *count + " channels, from 0 on", "set `channel` to one of them");
+    return missing(part, chip + " has " + *count + " channels, counted from 0", "set `channel` to one of them");
   const std::string folder = chip + "/pwm" + std::to_string(channel);
   const std::string file = files.exists(folder) ? folder + "/duty_cycle" : chip + "/export";
   const Access access = access_to(files, file, W_OK);

@@ -60,8 +60,8 @@ bool SubscriptionNode::report_times(CallbackStatus& status) const {
 
 void SubscriptionNode::report_exception(std::string_view what) noexcept {
   try {
-    runtime_->report(
-        loop(), name, {Errc::handler_threw, "a handler threw", "", std::string(what), "the handler is still called"});
+    runtime_->report(loop(), name,
+                     {Errc::handler_threw, "a handler threw", "", std::string(what), "the handler is still called"});
   } catch (...) {  // the report itself failed
   }
 }

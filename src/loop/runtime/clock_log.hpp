@@ -32,8 +32,9 @@ class ClockLog {
   }
   const ClockPair& start() const noexcept { return start_; }
 
-  /// Records the time of day if it was set (moved by more than 1 ms against the monotonic clock) or the machine was
-  /// suspended, if its accuracy changed, regularly while the accuracy is known, or always if an occasion is given. Returns true if it recorded.
+  /// Records the time of day if it was set (moved by more than 1 ms against the monotonic clock) or the computer was
+  /// suspended, if its accuracy changed, regularly while the accuracy is known, or always if an occasion is given.
+  /// Returns true if it recorded.
   bool look(const char* occasion = nullptr);
   /// See Runtime::note_wall_clock.
   Result<void> note_wall_clock(ClockPair pair);
