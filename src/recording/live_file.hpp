@@ -87,9 +87,9 @@ class LiveFile {
   static constexpr std::uint32_t most_slots = first_block * ((1u << most_blocks) - 1);
 
   LiveFile() = default;
-  /// Makes the file of a new run, with space for `first_block` slots. `path` of its recording is absolute; the recording
-  /// is not accessed, since its disk may be slow. Errors: no folder can be used; the run's counts are then kept in its
-  /// own memory.
+  /// Makes the file of a new run, with space for `first_block` slots. `path` of its recording is absolute; its disk is
+  /// not accessed, since it may be slow. Errors: no folder can be used; the run's counts are then kept in its own
+  /// memory.
   static Result<LiveFile> make(const std::string& path, const RunInfo& run);
   /// The recording, whose lock the caller holds, has this real path.
   void set_recording(const std::string& recording) noexcept;

@@ -149,8 +149,8 @@ Result<void> check_path(const std::string& path);
 void insert_run(const Database& database, const RunInfo& run, AccountSums& sums);
 
 /// Within a transaction: seals every run still marked as recording, using its surviving live file. The caller holds the
-/// recording's lock, which had the text `noted`. Runs that were killed before they had a row get one. Adds live files to
-/// remove to `used`. Returns a remark for each run.
+/// recording's lock, which had the text `noted`. Runs that were killed before they had a row get one. Adds live files
+/// to remove to `used`. Returns a remark for each run.
 std::vector<std::string> seal_runs(Database& database, const std::string& recording, const std::string& noted,
                                    AccountSums& sums, std::vector<LiveFile>& used);
 
