@@ -658,7 +658,7 @@ while True:
       CHECK(has(run.out, "ledger balances"));
       CHECK(folder.read("valve.txt").ends_with("0\n"));
       ctl.end();
-      if (by_ctl) CHECK_MESSAGE(has(ctl.err + ctl.out, "it ends already"), ctl.err + ctl.out);
+      if (const std::string said = ctl.err + ctl.out; by_ctl) CHECK_MESSAGE(has(said, "it ends already"), said);
       Process verify(folder, program, {"verify", "run.db"});
       CHECK(verify.end() == 0);
     }

@@ -570,7 +570,7 @@ struct OfHttpSink : OfSink {
 struct OfMqttSink : OfSink {
   using Type = MqttSink;
   Type make(Loop& loop, Probe& probe) {
-    return heard(Type(loop, {.host = "127.0.0.1", .port = refused.port(), .sink = hasty_sink()}), probe);
+    return heard(Type(loop, {.broker = {.host = "127.0.0.1", .port = refused.port()}, .sink = hasty_sink()}), probe);
   }
   RefusedPort refused;
 };
