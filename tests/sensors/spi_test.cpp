@@ -229,7 +229,7 @@ TEST_SUITE("sensors") {
     CHECK(problems("/dev/spidev0", adc + "}, " + R"({"name": "b", "type": "mcp3x08", "rate": "1 Hz", "bus": "spi0"})")
               .find("has chip select 0 of the bus \"spi0\" already") != std::string::npos);
     CHECK(problems("/dev/spidev0.1", adc + "}")
-              .find("give \"/dev/spidev0\" here, and \"chip_select\": 1 to the sensor") != std::string::npos);
+              .find("write \"/dev/spidev0\" here, and \"chip_select\": 1 to the sensor") != std::string::npos);
     CHECK(problems("/dev/spidev0", adc + R"(, "mode": 4})").find("mode") != std::string::npos);
     CHECK(problems("/dev/spidev0", adc + R"(, "reference_voltage": 0})").find("reference_voltage") !=
           std::string::npos);

@@ -219,7 +219,7 @@ TEST_SUITE("sinks") {
     starts({.path = directory + "/no/{topic}"},
            "cannot make file sink: " + directory + "/no/{topic}: there is no directory");
     starts({.path = directory + "/{topic}/run"},
-           "cannot make file sink: " + directory + "/{topic}/run: {topic} stands in");
+           "cannot make file sink: " + directory + "/{topic}/run: {topic} is in the name of a directory");
     starts({.path = "/dev/null"}, "cannot record into: /dev/null: it is not a regular file");
     starts({.path = directory + "/run", .format = "cvs"}, CodecRegistry::standard().make("cvs").error().text());
     starts({.path = directory + "/run.csv", .format = "csv"},

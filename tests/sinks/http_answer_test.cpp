@@ -110,7 +110,7 @@ TEST_SUITE("sinks") {
     CHECK(has(advice({.code = CURLE_PEER_FAILED_VERIFICATION, .verify_result = 18}).why.advice, "tls.ca_file"));
     CHECK(has(
         advice({.code = CURLE_PEER_FAILED_VERIFICATION, .text = "no alternative certificate subject name"}).why.advice,
-        "another name"));
+        "the name of the server's certificate"));
     CHECK(has(advice({.code = CURLE_SSL_CONNECT_ERROR}).why.advice, "TLS"));
     const HttpJudgement proxy = advice({.code = CURLE_RECV_ERROR, .connect_status = 407}, "http://proxy.example:3128");
     CHECK(proxy.verdict == HttpVerdict::faulted);

@@ -341,7 +341,7 @@ TEST_SUITE("sinks") {
     has(told("UPDATE \"climate~1s\" SET \"temperature.max\" = \"temperature.max\" + 1e-9" + tenth),
         "climate~1s: the step at ");
     has(told("UPDATE \"climate~1s\" SET \"temperature.max\" = \"temperature.max\" + 1e-9" + tenth),
-        "origin hall, is another");
+        "origin hall, does not agree");
     for (const std::string& column :
          sqlite::columns_of(sqlite::Database::open(path, sqlite::Database::Mode::read), "climate~1min")) {
       if (column == "run" || column == "origin" || column == "time") continue;

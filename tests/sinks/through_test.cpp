@@ -945,7 +945,7 @@ TEST_SUITE("sinks") {
     };
     CHECK_THROWS_WITH_AS(make("none"), doctest::Contains("there is no such sink"), SetupError);
     SqliteSink recording(loop, {.path = folder / "run.db", .sink = {.name = "recording"}});
-    CHECK_THROWS_WITH_AS(make("recoding"), doctest::Contains("there are: recording"), SetupError);
+    CHECK_THROWS_WITH_AS(make("recoding"), doctest::Contains("available: recording"), SetupError);
     CHECK_THROWS_WITH_AS(SqliteSink(loop, {.path = folder / "b.db", .sink = {.name = "b", .through = "recording"}}),
                          doctest::Contains("a recording itself"), SetupError);
     Sink plain(loop, {.name = "plain"}, std::make_unique<ScriptedPeer>(peer));

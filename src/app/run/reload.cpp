@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <exception>
+#include <filesystem>
+#include <system_error>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -25,7 +27,15 @@ constexpr Duration step_time = std::chrono::milliseconds{2};            // of a 
 }  // namespace
 
 void Reload::read(NextPlan& next) const try {
-  ConfigDocument document = load_config(options_.file);
+  ConfigDocument document;
+  std::error_code none;
+  if (std::filesystem::exists(options_.file, none) && !std::filesystem::is_regular_file(options_.file, none)) {
+    document.file = options_.file;  // a FIFO would be waited for
+    document.problems.add("cannot-read", {.file = options_.file}, "",
+                          "cannot read the configuration: it is not a regular file");
+  } else {
+    document = load_config(options_.file);
+  }
   Problems warnings;
   run_.tares.put_into(document.root, warnings);
   next.plan = plan_system(registry_, std::move(document));

@@ -38,15 +38,10 @@ bool read_file(const std::string& file, std::string& text, Problems& problems) {
                  "cannot read the configuration: " + std::generic_category().message(error));
     return false;
   };
-  const Descriptor descriptor{::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK)};  // not to wait for a FIFO
+  const Descriptor descriptor{::open(file.c_str(), O_RDONLY | O_CLOEXEC)};
   if (descriptor.fd < 0) return fail(errno);
   struct stat status {};
-  if (::fstat(descriptor.fd, &status) != 0) return fail(errno);
-  if (S_ISDIR(status.st_mode)) return fail(EISDIR);
-  if (!S_ISREG(status.st_mode)) {
-    problems.add("cannot-read", whole(file), "", "cannot read the configuration: it is not a regular file");
-    return false;
-  }
+  if (::fstat(descriptor.fd, &status) == 0 && S_ISDIR(status.st_mode)) return fail(EISDIR);
   std::array<char, 65536> buffer{};
   for (;;) {
     const ssize_t count = ::read(descriptor.fd, buffer.data(), buffer.size());
