@@ -185,7 +185,8 @@ TEST_SUITE("app") {
     Process check(folder, program, {"check", "bad.json"});
     CHECK(check.end() == 2);
     CHECK(has(check.out,
-              "bad.json:2:38: sensors[0].type: there is no sensor type \"tallie\" (did you mean \"tallied\"?)\n"));
+              "bad.json:2:38: sensors[0].type: there is no sensor type \"tallie\" (did you mean \"tallied\"?) "
+              "[unknown-type]\n"));
     CHECK(has(check.out, "bad.json:3:38: sensors[1].rtae: unknown key (did you mean \"rate\"?) [unknown-key]\n"));
     CHECK(has(check.out, "^\n"));
     CHECK(has(check.out, "2 problems"));
@@ -994,7 +995,7 @@ TEST_SUITE("app") {
     Process page(folder, shipped, {"types", "lm75", "--markdown"});
     CHECK(page.end() == 0);
     CHECK(has(page.out, "## `lm75`\n\nTemperature of"));
-    CHECK(has(page.out, "\n| `address` | string or integer |  | `0x48` |  | of the chip"));
+    CHECK(has(page.out, "\n| `address` | string or integer |  | `0x48` |  | 7-bit address of the chip"));
     CHECK(has(page.out, "\n| `temperature` | double | Cel |\n"));
     CHECK(!has(page.out, "`retry_first`"));  // every sensor has it
     Process all(folder, shipped, {"types", "--markdown"});

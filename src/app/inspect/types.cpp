@@ -106,7 +106,7 @@ void print_lines(const Registry& registry) {
     for (const TypeInfo& type : types) std::cout << line_of(type);
     std::cout << "\n";
   }
-  std::cout << "rtdata types NAME shows the parameters of one; NAME may also be a chip or a word:\n"
+  std::cout << "rtdata types NAME shows the parameters of one; a chip or a word is a NAME too:\n"
                "bme280, pt100, button, csv. rtdata types --all shows all parameters."
             << std::endl;
 }
