@@ -61,10 +61,17 @@ struct Suspended {
 /// suspensions.
 std::vector<Suspended> add_suspensions(std::vector<RecordedClock>& pairs) {
   constexpr Duration noise = std::chrono::milliseconds{1};  // of reading two clocks
+  constexpr Duration beginning = std::chrono::milliseconds{
+      10};  // a run begins this much before its first pair, at most
   std::vector<Suspended> all{{pairs.front().monotonic, Duration{0}}};
+  MonotonicTime before = pairs.front().monotonic;
   for (RecordedClock& pair : pairs) {
     const Duration total = detail::difference(pairs.front().suspended, pair.suspended);
-    if (detail::difference(all.back().total, total) > noise) all.push_back({pair.monotonic, total});
+    if (detail::difference(all.back().total, total) > noise) {
+      const bool is_new_run = pair.occasion == "start";
+      all.push_back({is_new_run ? std::max(before + Duration{1}, pair.monotonic - beginning) : pair.monotonic, total});
+    }
+    before = pair.monotonic;
     pair.monotonic = detail::later(pair.monotonic, all.back().total);
   }
   return all;

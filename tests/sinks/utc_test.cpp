@@ -362,6 +362,15 @@ TEST_CASE("US-34 the UTC line: who counts, and between whom") {
     }
     CHECK_FALSE(goes_back);
   }
+  SUBCASE("a run that starts after a suspension begins a little before its first pair") {
+    std::vector<RecordedClock> pairs{pair(10s, at(0), {}), pair(11s, at(1), {}), pair(12s, at(3602), {})};
+    pairs[0].occasion = pairs[2].occasion = "start";
+    pairs[1].occasion = "end";
+    pairs[2].suspended = 1h;
+    CHECK(utc(pairs, 11s) == at(1));
+    CHECK(utc(pairs, 12s - 1ms) == at(3602) - 1ms);
+    CHECK(utc(pairs, 12s) == at(3602));
+  }
   SUBCASE("a time from before the boot has a clock of its own, and stays") {
     CHECK(UtcLine(std::vector{pair(10s, at(0), 1ms)}, 100s).utc(Time{99s}) == Time{99s});
     CHECK(UtcLine(std::vector{pair(10s, at(0), 1ms)}, 100s).utc(Time{110s}) == at(0));
