@@ -34,7 +34,7 @@ class KernelSpi final : public SpiTransport {
     int status = 0;
     const std::shared_ptr<ChipSelect> chip = open(place.chip_select, status);
     if (chip == nullptr) return status;
-    // The mode belongs to the open device, not to the transfer, and others may have changed it.
+    // All programs that open the device share its mode, so another one may have changed it.
     std::uint32_t mode = place.mode;
     if (::ioctl(chip->fd, SPI_IOC_WR_MODE32, &mode) < 0) return errno;
     std::array<spi_ioc_transfer, SpiDevice::most_segments> transfers{};

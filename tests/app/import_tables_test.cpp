@@ -725,7 +725,7 @@ TEST_SUITE("app") {
     CHECK(has(rows_of(folder, "amps.db"), "amps,2,995,4\n"));
     folder.write("south.csv", "t,lat,power\n0,33.85S,450W\n1,33.86S,451W\n");
     const std::string said = import(folder, {"south.csv", "--time", "t"});
-    CHECK(has(said, "column lat is text, with numbers such as \"33.85S\": of south and west, make negative"));
+    CHECK(has(said, "column lat is text, with numbers such as \"33.85S\": if these are places, make numbers of"));
     CHECK_FALSE(has(said, "--strip \"S\""));
     CHECK_FALSE(has(said, "--strip \"W\""));
     CHECK(has(said, "if W is a unit, --strip removes it"));

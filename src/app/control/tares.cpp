@@ -181,7 +181,7 @@ TareDesk::~TareDesk() = default;
 void TareDesk::run(const std::vector<std::string>& words, Told told) {
   const std::string& word = words[1];
   if (words.size() > 2 && words[2] != "--clear")
-    refuse(word, "\"" + words[2] + "\" is not known", "write `tare SENSOR[.FIELD] --clear` to remove it");
+    refuse(word, "\"" + words[2] + "\" is not known", "write `tare SENSOR[.FIELD] --clear` to remove the tare");
   const PartPlan* plan = nullptr;
   for (const PartPlan* one : system_.parts().plans()) {
     const bool is_meant = one->kind == "sensor" && (word == one->name || word.starts_with(one->name + "."));

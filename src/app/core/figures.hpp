@@ -1,4 +1,4 @@
-// Which fields have figures (least, most, mean, a curve), and where a recorded step has them.
+// Which fields have figures (least, most, mean), and where a recorded step (a second or minute of a topic) has them.
 #pragma once
 
 #include <cmath>

@@ -655,9 +655,9 @@ void tell_warnings(std::ostream& err, const ImportOptions& options, const Found&
                  std::min(column.more.find_first_not_of(' '), column.more.size()));
              more == "N" || more == "S" || more == "E" || more == "W")
       warn(text +
-           (more == "S" || more == "W" ? "of south and west, make negative numbers first"
-                                       : "of a place, remove " + more + " first, and make negative numbers of " +
-                                             (more == "N" ? "south" : "west")) +
+           (more == "S" || more == "W" ? "if these are places, make numbers of the south and west negative first"
+                                       : "if these are places, remove " + more + " first, and make numbers of the " +
+                                             (more == "N" ? "south" : "west") + " negative") +
            (says_a_place(column.heading) ? "" : "; if " + more + " is a unit, --strip removes it"));
     else
       warn(text + "to have the numbers, write --strip \"" + detail::readable(column.more) + "\"");

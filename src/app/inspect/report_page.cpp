@@ -423,7 +423,7 @@ class Page {
     for (const auto& [source, number] : sources)
       text += (text.empty() ? "" : ", ") + source + " " + std::to_string(number);
     if (text.empty()) {
-      add("<p>The time of day was never read: times are those of the machine that recorded.</p>\n");
+      add("<p>The time of day was never read: times are shown as they were recorded, not converted to UTC.</p>\n");
       return;
     }
     const auto error = clock_error(run_.info, content_.clock, length());

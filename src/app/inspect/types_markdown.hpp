@@ -8,7 +8,7 @@
 
 namespace rtdata::app {
 
-/// A field of an event as readable text: members of records by their path, arrays and texts with their size.
+/// A field of an event as readable text: members of records by their path, arrays with their size.
 struct PublishedField {
   std::string name, type, unit;
 };

@@ -46,7 +46,7 @@ class RateMember {
   /// True if `tick` would do nothing now: in virtual time it is not called until something else is due.
   virtual bool is_idle() const noexcept { return false; }
 
-  /// Prefetches further memory that `tick` will use; called some members ahead.
+  /// Prefetches the memory outside this object that its `tick` will use. Called while an earlier member ticks.
   virtual void prefetch() const noexcept {}
   Duration period() const noexcept { return period_; }
   /// The phase within its period; empty while it is not scheduled.

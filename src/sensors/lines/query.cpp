@@ -110,7 +110,7 @@ Result<void> Query::prepare(SerialDevice& line) {
     if (auto done = drop_answer(line, decoding_->cutter && !is_text ? Answer::frame : Answer::line, "prepare"); !done)
       return done;
   }
-  // The request drops anything received until then, such as a notice that the measurement is complete.
+  // What the device sends during this wait, such as a notice that it has measured, is dropped before the request.
   if (!prepare_.empty()) detail::lane_sleep(config_.prepare_wait);
   return {};
 }

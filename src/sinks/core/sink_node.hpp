@@ -67,8 +67,8 @@ class SinkNode final : public Node, public Recorder, public RateMember, public T
   void sync(Callback<void()> done);
   /// Starts the lane, unless it works already or waits for a retry.
   void start_work();
-  /// Makes the next account soon, for a new origin or a changed schedule, so that a kill in the first second does not
-  /// lose them.
+  /// Makes the next account soon. Called for a new origin, schedule or configuration, so that a kill soon after it does
+  /// not lose it.
   void account_is_due();
   /// The run of a topic's events for peers: that of the first recording that takes it, otherwise the program's. Empty
   /// for a recording and for a sink with `through`.

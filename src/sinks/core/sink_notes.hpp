@@ -100,7 +100,8 @@ class SinkNotes {
   }
   bool has_end() const noexcept { return !clock_.empty() && std::string_view(clock_.back().occasion) == "end"; }
 
-  /// Adds an error for data that did not fit; throws without memory, so `move_into` must not do this.
+  /// Adds an error for data that did not fit. It throws when there is no memory: `move_into`, which is noexcept, must
+  /// not call it.
   void report_lost(Time at) {
     report_lost(at, lost_segments_, "segments of schedules");
     report_lost(at, lost_errors_, "errors");
