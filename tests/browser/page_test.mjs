@@ -34,7 +34,7 @@ try {
     await until(page, () => document.getElementById("connection").textContent === "live");
     await until(page, () => /^recording since 20/.test(document.getElementById("since").textContent));
     await until(page, () => /^run 1: notes </.test(document.getElementById("run").textContent));
-    await until(page, () => /UTC (±|\(how)/.test(document.getElementById("utc").textContent));
+    await until(page, () => /UTC (±|\(accuracy)/.test(document.getElementById("utc").textContent));
     await until(page, () => /GiB, .* h$/.test(document.getElementById("disk").textContent));
     await until(page, () => /^alarm: busy high$/.test(document.getElementById("alarm").textContent));
     await until(page, () => /lost since the start: [1-9]/.test(document.getElementById("lost").textContent));  // of `never`
