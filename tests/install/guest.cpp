@@ -10,16 +10,15 @@ using namespace rtdata::literals;
 
 namespace {
 
-struct Climate {
-  double temperature = 21.5;
-  RTDATA_FIELDS(Climate, (temperature, "Cel"))
+struct Load {
+  double minute = 0.5;
+  RTDATA_FIELDS(Load, (minute, "1"))
 };
 struct Guest {
   explicit Guest(uv_loop_t* host) : loop(host) {}
   rtdata::Loop loop;
   rtdata::SqliteSink recording{loop, {.path = "run.db"}};
-  rtdata::Sensor<Climate> room{
-      loop, {.name = "room", .topic = "room/climate", .rate = 100_Hz}, [] { return Climate{}; }};
+  rtdata::Sensor<Load> sensor{loop, {.name = "load", .rate = 100_Hz}, [] { return Load{}; }};
 };
 std::optional<Guest> guest;
 
@@ -38,7 +37,7 @@ extern "C" void guest_drain() {
   guest->loop.drain(5s, [](std::uint64_t lost) { std::printf("%u lost\n", static_cast<unsigned>(lost)); });
 }
 extern "C" int guest_end() {
-  const auto events = static_cast<int>(guest->room.counts().published);
+  const auto events = static_cast<int>(guest->sensor.counts().published);
   guest.reset();
   return events;
 }
