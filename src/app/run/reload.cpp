@@ -1,10 +1,11 @@
 #include "app/run/reload.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <exception>
 #include <filesystem>
+#include <future>
 #include <system_error>
-#include <thread>
 #include <utility>
 #include <vector>
 
@@ -52,8 +53,12 @@ void Reload::read(NextPlan& next) const try {
 struct Reload::Reading final : detail::LaneJob {
   Reading(Reload& reload, const std::string& why, Told told) : reload_(reload), why_(why), told_(std::move(told)) {
     ++reload_.readings_;
+    reload_.reads_.push_back(has_read_.get_future());
   }
-  void run() noexcept override { reload_.read(*next_); }
+  void run() noexcept override {
+    reload_.read(*next_);
+    has_read_.set_value();
+  }
   void done(Outcome outcome) override {
     --reload_.readings_;
     if (outcome == Outcome::cancelled) return;
@@ -69,10 +74,12 @@ struct Reload::Reading final : detail::LaneJob {
   const std::string why_;
   const Told told_;
   std::shared_ptr<NextPlan> next_ = std::make_shared<NextPlan>();
+  std::promise<void> has_read_;
 };
 
 void Reload::read_and_apply(const std::string& why, Told told) {
   if (run_.is_ending()) return told({false, "it ends already"});
+  std::erase_if(reads_, [](const auto& one) { return one.wait_for(Duration{0}) == std::future_status::ready; });
   const auto reading = std::make_shared<Reading>(*this, why, std::move(told));
   if (!reading_lane_.submit(reading)) reading->done(detail::LaneJob::Outcome::given_up);  // others hang
 }
@@ -82,10 +89,9 @@ void Reload::give_up_reading() {
 }
 
 std::string Reload::hanging() const {
-  constexpr std::chrono::milliseconds patience{500}, step{10};
-  for (auto left = patience; left.count() > 0 && reading_lane_.abandoned_threads() > 0; left -= step)
-    std::this_thread::sleep_for(step);
-  return reading_lane_.abandoned_threads() > 0 ? "reading " + options_.file : "";
+  const auto until = std::chrono::steady_clock::now() + std::chrono::milliseconds{500};
+  const auto hangs = [&](const auto& one) { return one.wait_until(until) != std::future_status::ready; };
+  return std::any_of(reads_.begin(), reads_.end(), hangs) ? "reading " + options_.file : "";
 }
 
 const std::set<std::string>& Reload::end() {

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <future>
 #include <memory>
 #include <set>
 #include <string>
@@ -133,9 +134,10 @@ class Reload {
   const RunOptions& options_;
   RunConsole& console_;
   const Run run_;
-  std::shared_ptr<Change> under_way_;  // null: no reload in progress
-  std::shared_ptr<Change> next_;       // the waiting one
-  int readings_ = 0;                   // in progress
+  std::shared_ptr<Change> under_way_;     // null: no reload in progress
+  std::shared_ptr<Change> next_;          // the waiting one
+  int readings_ = 0;                      // in progress
+  std::vector<std::future<void>> reads_;  // of threads that may use this object
   detail::Lane reading_lane_;
   detail::Lane lane_;  // checks files on all disks
 };
