@@ -486,7 +486,7 @@ inline const std::shared_ptr<const Description>& description_of() {
 // `describe` is a template so that g++ reports a misspelt member once. The commas stand for 100 absent fields.
 // clang-format off
 #define RTDATA_FIELDS(Type, ...) \
-  friend void rtdata_fields(::rtdata::type_tag<Type>) {} \
+  [[maybe_unused]] friend void rtdata_fields(::rtdata::type_tag<Type>) {} \
   template <int = 0> \
   friend constexpr auto describe(::rtdata::type_tag<Type>) { \
     using RtdataOwner [[maybe_unused]] = Type; \
