@@ -56,7 +56,7 @@ endif()
 find_package(Python3 COMPONENTS Interpreter QUIET)
 if(Python3_FOUND AND TARGET example_01_record)  # reads what 01 has recorded, in the folder of 01
   rtdata_example_test(08_read_with_python FOLDER 01_record
-    COMMAND ${Python3_EXECUTABLE} ${example_source_dir}/08_read_with_python.py run.db room/climate)
+    COMMAND ${Python3_EXECUTABLE} ${example_source_dir}/08_read_with_python.py run.db load)
   set_tests_properties(example_01_record PROPERTIES FIXTURES_SETUP recording_of_01)
   set_tests_properties(example_08_read_with_python PROPERTIES FIXTURES_REQUIRED recording_of_01)
 endif()

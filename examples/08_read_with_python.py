@@ -1,9 +1,9 @@
-"""Reads a recording with nothing but Python's own sqlite3:  08_read_with_python.py run.db room/climate"""
+"""Reads a recording with nothing but Python's own sqlite3:  08_read_with_python.py run.db load"""
 import sqlite3
 import sys
 from datetime import datetime, timezone
 
-path, topic = (sys.argv[1:] + ["run.db", "room/climate"][len(sys.argv) - 1:])[:2]
+path, topic = (sys.argv[1:] + ["run.db", "load"][len(sys.argv) - 1:])[:2]
 db = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
 db.row_factory = sqlite3.Row
 
