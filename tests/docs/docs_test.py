@@ -121,11 +121,12 @@ def check_examples(source, compiler):
     takes more memory."""
     headers = sorted((source / "include").rglob("*.hpp"))
     count = left_out = 0
-    for half in (headers[0::2], headers[1::2]):
-        includes, blocks = ['#include "example_names.hpp"'], []
-        for header in half:
+    names = ["example_names.hpp", *(header.relative_to(source / "include") for header in headers)]
+    includes = [f'#include "{name}"' for name in names]
+    for part in range(2):
+        blocks = []
+        for header in headers[part::2]:
             name = header.relative_to(source)
-            includes.append(f'#include "{name.relative_to("include")}"')
             for line, text in examples(header):
                 if "..." in text:
                     left_out += 1
