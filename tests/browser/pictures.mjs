@@ -25,7 +25,7 @@ const address = await new Promise((done) => {
 const wait = (seconds) => new Promise((done) => setTimeout(done, seconds * 1000));
 const browser = await puppeteer.launch({executablePath: "/usr/bin/chromium", args: ["--no-sandbox", "--disable-gpu"]});
 try {
-  await wait(15);
+  await wait(40);  // the charts show a minute
   run.kill("SIGSTOP");  // a gap
   await wait(2);
   run.kill("SIGCONT");

@@ -11,16 +11,8 @@
 namespace rtdata::detail {
 
 CurlMulti::CurlMulti(Loop& loop, Config config, Done done)
-    : loop_(loop), config_(std::move(config)), done_(std::move(done)), multi_(curl_multi_init()) {
-  if (multi_ == nullptr) throw std::bad_alloc();
-  const long connections = static_cast<long>(config_.connections);
-  curl_multi_setopt(multi_, CURLMOPT_SOCKETFUNCTION, &CurlMulti::on_socket);
-  curl_multi_setopt(multi_, CURLMOPT_SOCKETDATA, this);
-  curl_multi_setopt(multi_, CURLMOPT_TIMERFUNCTION, &CurlMulti::on_timer);
-  curl_multi_setopt(multi_, CURLMOPT_TIMERDATA, this);
-  curl_multi_setopt(multi_, CURLMOPT_PIPELINING, static_cast<long>(CURLPIPE_MULTIPLEX));
-  curl_multi_setopt(multi_, CURLMOPT_MAX_HOST_CONNECTIONS, connections);
-  curl_multi_setopt(multi_, CURLMOPT_MAXCONNECTS, connections);
+    : loop_(loop), config_(std::move(config)), done_(std::move(done)) {
+  // First, since a loop that is being closed takes no timer, and what the constructor has of libcurl would be leaked.
   timer_ = Timer(loop_, Timer::Config{config_.name}, [this] {
     const std::shared_ptr<bool> alive = is_alive_;
     act(CURL_SOCKET_TIMEOUT, 0);
@@ -30,6 +22,16 @@ CurlMulti::CurlMulti(Loop& loop, Config config, Done done)
     timeout_ms_ = left == 0 ? 1 : left;
     arm();
   });
+  multi_ = curl_multi_init();
+  if (multi_ == nullptr) throw std::bad_alloc();
+  const long connections = static_cast<long>(config_.connections);
+  curl_multi_setopt(multi_, CURLMOPT_SOCKETFUNCTION, &CurlMulti::on_socket);
+  curl_multi_setopt(multi_, CURLMOPT_SOCKETDATA, this);
+  curl_multi_setopt(multi_, CURLMOPT_TIMERFUNCTION, &CurlMulti::on_timer);
+  curl_multi_setopt(multi_, CURLMOPT_TIMERDATA, this);
+  curl_multi_setopt(multi_, CURLMOPT_PIPELINING, static_cast<long>(CURLPIPE_MULTIPLEX));
+  curl_multi_setopt(multi_, CURLMOPT_MAX_HOST_CONNECTIONS, connections);
+  curl_multi_setopt(multi_, CURLMOPT_MAXCONNECTS, connections);
 }
 
 CurlMulti::~CurlMulti() {

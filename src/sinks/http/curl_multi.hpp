@@ -55,7 +55,7 @@ class CurlMulti {
   Loop& loop_;
   const Config config_;
   const Done done_;
-  CURLM* multi_;
+  CURLM* multi_ = nullptr;
   std::unordered_map<int, Socket> sockets_;
   Timer timer_;
   long timeout_ms_ = -1;                         // that libcurl asked for last; -1: none
