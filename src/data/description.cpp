@@ -11,6 +11,7 @@
 #include "data/field_layout.hpp"
 #include "data/load.hpp"
 #include "data/lower_case.hpp"
+#include "data/name_in.hpp"
 #include "data/nearest.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/data/describe.hpp"
@@ -213,10 +214,7 @@ void compare(const std::vector<Field>& here, const std::vector<Field>& there, co
 
 }  // namespace
 
-std::string_view name_of(Kind kind) noexcept {
-  const auto index = static_cast<std::size_t>(kind);
-  return index < std::size(kind_names) ? kind_names[index] : std::string_view("unknown");
-}
+std::string_view name_of(Kind kind) noexcept { return name_in(kind_names, kind); }
 
 std::byte* OptionalAccess::set(std::byte* optional, bool present) const noexcept {
   std::memset(optional, 0, value_size);
