@@ -7,6 +7,7 @@
 
 #include "data/field_layout.hpp"
 #include "data/load.hpp"
+#include "data/part_of.hpp"
 #include "recording/schema.hpp"
 #include "rtdata/data/value.hpp"
 
@@ -15,6 +16,7 @@ namespace {
 
 using detail::for_number;
 using detail::is_number_kind;
+using detail::is_part_of;
 using detail::load;
 
 constexpr std::size_t most_rows_per_statement = 16;
@@ -38,19 +40,6 @@ const char* type_of(const Leaf& leaf) {
 }
 
 std::string column_of(const Leaf& leaf) { return quoted(leaf.path) + " " + type_of(leaf); }
-
-bool same_leaf(const Leaf& a, const Leaf& b) {
-  return a.path == b.path && a.kind == b.kind && a.unit == b.unit &&
-         (a.optional == nullptr) == (b.optional == nullptr) && a.field->values == b.field->values;
-}
-
-/// Every leaf of `part` is in `whole`, with the same meaning.
-bool is_part_of(const Description& part, const Description& whole) {
-  return std::all_of(part.leaves().begin(), part.leaves().end(), [&](const Leaf& leaf) {
-    return std::any_of(whole.leaves().begin(), whole.leaves().end(),
-                       [&](const Leaf& other) { return same_leaf(leaf, other); });
-  });
-}
 
 /// As SQLite compares names: without the case of the letters of ASCII.
 bool starts_with(const std::string& name, const char* start) {
