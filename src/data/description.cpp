@@ -3,13 +3,15 @@
 #include <algorithm>
 #include <atomic>
 #include <cstring>
-#include <limits>
 #include <map>
 #include <mutex>
 #include <set>
+#include <utility>
 
 #include "data/field_layout.hpp"
+#include "data/load.hpp"
 #include "data/lower_case.hpp"
+#include "data/name_in.hpp"
 #include "data/nearest.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/data/describe.hpp"
@@ -24,22 +26,8 @@ namespace {
 constexpr std::size_t most_leaves = 65536;
 
 bool fits(std::int64_t value, Kind base) {
-  switch (base) {
-    case Kind::i8:
-      return value >= -128 && value <= 127;
-    case Kind::i16:
-      return value >= -32768 && value <= 32767;
-    case Kind::i32:
-      return value >= std::numeric_limits<std::int32_t>::min() && value <= std::numeric_limits<std::int32_t>::max();
-    case Kind::u8:
-      return value >= 0 && value <= 255;
-    case Kind::u16:
-      return value >= 0 && value <= 65535;
-    case Kind::u32:
-      return value >= 0 && value <= std::numeric_limits<std::uint32_t>::max();
-    default:
-      return true;  // a u64 is kept bit for bit
-  }
+  return base == Kind::u64 ||  // kept bit for bit
+         for_integer(base, [value](auto zero) { return std::in_range<decltype(zero)>(value); });
 }
 
 /// "double", "text<16>[4]", "optional int32".
@@ -226,10 +214,7 @@ void compare(const std::vector<Field>& here, const std::vector<Field>& there, co
 
 }  // namespace
 
-std::string_view name_of(Kind kind) noexcept {
-  const auto index = static_cast<std::size_t>(kind);
-  return index < std::size(kind_names) ? kind_names[index] : std::string_view("unknown");
-}
+std::string_view name_of(Kind kind) noexcept { return name_in(kind_names, kind); }
 
 std::byte* OptionalAccess::set(std::byte* optional, bool present) const noexcept {
   std::memset(optional, 0, value_size);

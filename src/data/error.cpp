@@ -3,6 +3,9 @@
 #include <cerrno>
 #include <cstring>
 #include <initializer_list>
+#include <iterator>
+
+#include "data/name_in.hpp"
 
 namespace rtdata {
 namespace {
@@ -44,59 +47,33 @@ Errc errc_of(int errno_value) {
 }  // namespace
 
 std::string_view id(Errc code) noexcept {
-  switch (code) {
-    case Errc::ok:
-      return "ok";
-    case Errc::bad_argument:
-      return "bad-argument";
-    case Errc::bad_configuration:
-      return "bad-configuration";
-    case Errc::bad_description:
-      return "bad-description";
-    case Errc::description_differs:
-      return "description-differs";
-    case Errc::bad_name:
-      return "bad-name";
-    case Errc::not_found:
-      return "not-found";
-    case Errc::not_permitted:
-      return "not-permitted";
-    case Errc::busy:
-      return "busy";
-    case Errc::io_failed:
-      return "io-failed";
-    case Errc::disconnected:
-      return "disconnected";
-    case Errc::timed_out:
-      return "timed-out";
-    case Errc::not_a_number:
-      return "not-a-number";
-    case Errc::out_of_range:
-      return "out-of-range";
-    case Errc::bad_data:
-      return "bad-data";
-    case Errc::does_not_fit:
-      return "does-not-fit";
-    case Errc::storage_full:
-      return "storage-full";
-    case Errc::not_a_recording:
-      return "not-a-recording";
-    case Errc::newer_version:
-      return "newer-version";
-    case Errc::damaged:
-      return "damaged";
-    case Errc::handler_threw:
-      return "handler-threw";
-    case Errc::held_too_long:
-      return "held-too-long";
-    case Errc::not_turning:
-      return "not-turning";
-    case Errc::backlog:
-      return "backlog";
-    case Errc::closed:
-      return "closed";
-  }
-  return "unknown";
+  constexpr std::string_view ids[] = {"ok",
+                                      "bad-argument",
+                                      "bad-configuration",
+                                      "bad-description",
+                                      "description-differs",
+                                      "bad-name",
+                                      "not-found",
+                                      "not-permitted",
+                                      "busy",
+                                      "io-failed",
+                                      "disconnected",
+                                      "timed-out",
+                                      "not-a-number",
+                                      "out-of-range",
+                                      "bad-data",
+                                      "does-not-fit",
+                                      "storage-full",
+                                      "not-a-recording",
+                                      "newer-version",
+                                      "damaged",
+                                      "handler-threw",
+                                      "held-too-long",
+                                      "not-turning",
+                                      "backlog",
+                                      "closed"};
+  static_assert(std::size(ids) == static_cast<std::size_t>(Errc::closed) + 1);
+  return detail::name_in(ids, code);
 }
 
 const std::error_category& error_category() noexcept {

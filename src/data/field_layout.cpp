@@ -2,24 +2,15 @@
 
 #include <algorithm>
 #include <charconv>
-#include <cstdint>
 
+#include "data/load.hpp"
 #include "rtdata/data/text.hpp"
 
 namespace rtdata::detail {
 namespace {
 
 std::size_t alignment_of(Kind kind) {
-  switch (size_of(kind)) {
-    case 2:
-      return alignof(std::int16_t);
-    case 4:
-      return kind == Kind::f32 ? alignof(float) : alignof(std::int32_t);
-    case 8:
-      return kind == Kind::f64 ? alignof(double) : alignof(std::int64_t);
-    default:
-      return 1;
-  }
+  return is_number_kind(kind) ? for_number(kind, [](auto zero) { return alignof(decltype(zero)); }) : 1;
 }
 
 std::size_t round_up(std::size_t value, std::size_t alignment) {
@@ -33,30 +24,8 @@ Error not_usable(std::string where, std::string why, std::string advice) {
 }
 
 std::size_t size_of(Kind kind) {
-  switch (kind) {
-    case Kind::boolean:
-      return sizeof(bool);
-    case Kind::character:
-    case Kind::i8:
-    case Kind::u8:
-      return 1;
-    case Kind::i16:
-    case Kind::u16:
-      return 2;
-    case Kind::i32:
-    case Kind::u32:
-    case Kind::f32:
-      return 4;
-    case Kind::i64:
-    case Kind::u64:
-    case Kind::f64:
-      return 8;
-    case Kind::text:
-    case Kind::enumeration:
-    case Kind::record:
-      break;
-  }
-  return 0;
+  if (kind == Kind::boolean || kind == Kind::character) return 1;
+  return is_number_kind(kind) ? for_number(kind, [](auto zero) { return sizeof zero; }) : 0;
 }
 
 Field plain_field(std::string name, Kind kind, std::string unit) {

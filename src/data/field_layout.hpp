@@ -23,6 +23,7 @@ Error not_usable(std::string where, std::string why, std::string advice = {});
 /// Bytes of an integer, a float, a bool or a char; 0 for the others.
 std::size_t size_of(Kind kind);
 inline bool is_integer_kind(Kind kind) { return kind >= Kind::i8 && kind <= Kind::u64; }
+inline bool is_number_kind(Kind kind) { return kind >= Kind::i8 && kind <= Kind::f64; }
 
 // Fields, not yet `finished`.
 Field plain_field(std::string name, Kind kind, std::string unit);

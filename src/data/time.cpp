@@ -97,35 +97,6 @@ Error not_a_time(std::string_view text, std::string why) {
   return {Errc::bad_argument, "not a time", quoted(text), std::move(why), "write it as 2026-03-01T12:00:00.5Z"};
 }
 
-/// Days since 1970-01-01 of a date of the Gregorian calendar (after H. Hinnant, "chrono-compatible low-level date
-/// algorithms": years start in March, 400 of them are one era).
-std::int64_t days_from_date(std::int64_t year, unsigned month, unsigned day) {
-  year -= month <= 2 ? 1 : 0;
-  const std::int64_t era = (year >= 0 ? year : year - 399) / 400;
-  const auto year_of_era = static_cast<unsigned>(year - era * 400);
-  const unsigned day_of_year = (153 * (month + (month > 2 ? -3U : 9U)) + 2) / 5 + day - 1;
-  const unsigned day_of_era = year_of_era * 365 + year_of_era / 4 - year_of_era / 100 + day_of_year;
-  return era * 146097 + static_cast<std::int64_t>(day_of_era) - 719468;
-}
-
-struct Date {
-  std::int64_t year;
-  unsigned month;
-  unsigned day;
-};
-
-Date date_from_days(std::int64_t days) {
-  days += 719468;
-  const std::int64_t era = (days >= 0 ? days : days - 146096) / 146097;
-  const auto day_of_era = static_cast<unsigned>(days - era * 146097);
-  const unsigned year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36524 - day_of_era / 146096) / 365;
-  const unsigned day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-  const unsigned shifted = (5 * day_of_year + 2) / 153;
-  const unsigned month = shifted < 10 ? shifted + 3 : shifted - 9;
-  return {static_cast<std::int64_t>(year_of_era) + era * 400 + (month <= 2 ? 1 : 0), month,
-          day_of_year - (153 * shifted + 2) / 5 + 1};
-}
-
 void append_padded(std::string& text, std::uint64_t number, int width) {
   char digits[20];
   for (int i = width; i-- > 0; number /= 10) digits[i] = static_cast<char>('0' + number % 10);
@@ -176,16 +147,16 @@ char* detail::put_iso8601(char* to, Time time) noexcept {
     rest += per_day;
     --days;
   }
-  const Date date = date_from_days(days);
+  const std::chrono::year_month_day date{std::chrono::sys_days(std::chrono::days(days))};
   const auto within = static_cast<std::uint64_t>(rest);
   const auto put = [&to](std::uint64_t number, int digits, char after) {
     for (int i = digits - 1; i >= 0; --i, number /= 10) to[i] = static_cast<char>('0' + number % 10);
     to += digits;
     *to++ = after;
   };
-  put(static_cast<std::uint64_t>(date.year), 4, '-');
-  put(date.month, 2, '-');
-  put(date.day, 2, 'T');
+  put(static_cast<std::uint64_t>(int{date.year()}), 4, '-');
+  put(unsigned{date.month()}, 2, '-');
+  put(unsigned{date.day()}, 2, 'T');
   put(within / (3600 * second), 2, ':');
   put(within / (60 * second) % 60, 2, ':');
   put(within / second % 60, 2, '.');
@@ -236,14 +207,12 @@ Result<Time> parse_iso8601(std::string_view text) {
     if (west) offset = -offset;
   }
   if (!text.empty()) return not_a_time(all, "something follows the time");
-  const bool leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
-  constexpr unsigned days_in[] = {31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31};
-  if (month < 1 || month > 12 || day < 1 || day > days_in[month - 1] + (leap && month == 2 ? 1 : 0)) {
-    return not_a_time(all, "there is no such day");
-  }
+  const std::chrono::year_month_day date{std::chrono::year(static_cast<int>(year)), std::chrono::month(month),
+                                         std::chrono::day(day)};
+  if (!date.ok()) return not_a_time(all, "there is no such day");
   if (hour > 23 || minute > 59) return not_a_time(all, "there is no such time of day");
   if (seconds > 59) return not_a_time(all, "seconds go up to 59 (leap seconds are not counted)");
-  const std::int64_t since_epoch = days_from_date(static_cast<std::int64_t>(year), month, day) * 86400 +
+  const std::int64_t since_epoch = std::int64_t{std::chrono::sys_days(date).time_since_epoch().count()} * 86400 +
                                    static_cast<std::int64_t>(hour * 3600 + minute * 60 + seconds) - offset;
   // Counted from the second above zero for times before 1970, so that the sum stays in range at both ends.
   const bool before = since_epoch < 0;

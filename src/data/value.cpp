@@ -6,6 +6,7 @@
 #include <cstring>
 #include <limits>
 #include <type_traits>
+#include <utility>
 
 #include "data/character.hpp"
 #include "data/load.hpp"
@@ -15,6 +16,7 @@
 namespace rtdata {
 namespace {
 
+using detail::for_integer;
 using detail::load;
 
 template <class T>
@@ -44,15 +46,11 @@ Result<T> to_integer(const Leaf& leaf, Kind kind, const Value& value) {
                             std::to_string(std::numeric_limits<T>::max()) + ")");
   };
   if (const auto* number = std::get_if<std::int64_t>(&value)) {
-    if constexpr (std::is_signed_v<T>) {
-      if (*number < std::numeric_limits<T>::min() || *number > std::numeric_limits<T>::max()) return range();
-    } else {
-      if (*number < 0 || static_cast<std::uint64_t>(*number) > std::numeric_limits<T>::max()) return range();
-    }
+    if (!std::in_range<T>(*number)) return range();
     return static_cast<T>(*number);
   }
   if (const auto* number = std::get_if<std::uint64_t>(&value)) {
-    if (*number > static_cast<std::uint64_t>(std::numeric_limits<T>::max())) return range();
+    if (!std::in_range<T>(*number)) return range();
     return static_cast<T>(*number);
   }
   if (const auto* number = std::get_if<double>(&value)) {
@@ -64,29 +62,6 @@ Result<T> to_integer(const Leaf& leaf, Kind kind, const Value& value) {
     return static_cast<T>(*number);
   }
   return wrong_type(leaf, value);
-}
-
-/// Calls `with` with a zero of the integer type of `kind`.
-template <class F>
-auto for_integer(Kind kind, F&& with) {
-  switch (kind) {
-    case Kind::i8:
-      return with(std::int8_t{});
-    case Kind::i16:
-      return with(std::int16_t{});
-    case Kind::i32:
-      return with(std::int32_t{});
-    case Kind::u8:
-      return with(std::uint8_t{});
-    case Kind::u16:
-      return with(std::uint16_t{});
-    case Kind::u32:
-      return with(std::uint32_t{});
-    case Kind::u64:
-      return with(std::uint64_t{});
-    default:
-      return with(std::int64_t{});
-  }
 }
 
 Value read_integer(Kind kind, const std::byte* from) {

@@ -23,7 +23,7 @@
 #include <thread>
 #include <utility>
 
-#include "io/descriptor.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 
 namespace rtdata::detail {
 namespace {

@@ -9,7 +9,7 @@
 #include <cerrno>
 #include <memory>
 
-#include "io/descriptor.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 
 namespace rtdata::detail {
 namespace {

@@ -7,16 +7,4 @@
 
 #define RTDATA_LIBMODBUS(of) of(modbus_strerror)
 
-namespace rtdata {
-
-RTDATA_LIBMODBUS(RTDATA_LOADED_FUNCTION)
-
-namespace detail {
-
-inline constexpr const char* libmodbus_sonames[] = {"libmodbus.so.5"};
-inline constexpr LoadedLibrary::Function libmodbus_functions[] = {RTDATA_LIBMODBUS(RTDATA_LOADED_NAME)};
-inline constinit LoadedLibrary libmodbus{"type modbus", "libmodbus", "libmodbus5", libmodbus_sonames,
-                                         libmodbus_functions};
-
-}  // namespace detail
-}  // namespace rtdata
+RTDATA_LOADED_LIBRARY(libmodbus, RTDATA_LIBMODBUS, "type modbus", "libmodbus", "libmodbus5", "libmodbus.so.5")

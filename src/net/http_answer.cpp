@@ -22,6 +22,7 @@ struct Status {
   long number;
   const char* name;
   const char* advice;
+  Errc code = Errc::io_failed;
 };
 constexpr Status statuses[] = {
     {300, "Multiple Choices", ""},
@@ -30,33 +31,36 @@ constexpr Status statuses[] = {
     {303, "See Other", ""},
     {307, "Temporary Redirect", ""},
     {308, "Permanent Redirect", ""},
-    {400, "Bad Request", ""},
-    {401, "Unauthorized", "set the right token or password: the server does not accept this one"},
-    {403, "Forbidden", "this token or password does not permit writing: ask for the permission, or use another"},
-    {404, "Not Found", "correct `url`: the server has nothing there"},
+    {400, "Bad Request", "", Errc::bad_data},
+    {401, "Unauthorized", "set the right token or password: the server does not accept this one", Errc::not_permitted},
+    {403, "Forbidden", "this token or password does not permit writing: ask for the permission, or use another",
+     Errc::not_permitted},
+    {404, "Not Found", "correct `url`: the server has nothing there", Errc::not_found},
     {405, "Method Not Allowed", "correct `method` or `url`: the server needs another method there"},
     {406, "Not Acceptable", "correct `headers`"},
-    {407, "Proxy Authentication Required", "set `proxy_user` and `proxy_password`: the proxy needs a user"},
+    {407, "Proxy Authentication Required", "set `proxy_user` and `proxy_password`: the proxy needs a user",
+     Errc::not_permitted},
     {408, "Request Timeout",
-     "set a smaller `parcel_rows`, or check the network: the server did not get the request in time"},
+     "set a smaller `parcel_rows`, or check the network: the server did not get the request in time", Errc::timed_out},
     {409, "Conflict", "read the answer of the server"},
-    {410, "Gone", "correct `url`: the server no longer has anything there"},
+    {410, "Gone", "correct `url`: the server no longer has anything there", Errc::not_found},
     {411, "Length Required", "a proxy on the way removes the header Content-Length: ask its operator"},
-    {413, "Content Too Large", ""},
+    {413, "Content Too Large", "", Errc::does_not_fit},
     {414, "URI Too Long", "shorten `url`"},
     {415, "Unsupported Media Type",
      "correct `format`, `content_type` or `compression`: the server does not accept this format"},
-    {422, "Unprocessable Content", ""},
+    {422, "Unprocessable Content", "", Errc::bad_data},
     {425, "Too Early", ""},
     {429, "Too Many Requests",
-     "set a larger `parcel_rows`, a smaller `window` or `bytes_per_second`: the server asks for fewer requests"},
+     "set a larger `parcel_rows`, a smaller `window` or `bytes_per_second`: the server asks for fewer requests",
+     Errc::busy},
     {431, "Request Header Fields Too Large", "send fewer `headers`"},
     {500, "Internal Server Error", "see the server's log"},
     {501, "Not Implemented", "see the server's log"},
     {502, "Bad Gateway", "check the server behind the gateway: it does not answer"},
-    {503, "Service Unavailable", "check the server: it is overloaded, or it restarts"},
-    {504, "Gateway Timeout", "check the server behind the gateway: it does not answer"},
-    {507, "Insufficient Storage", "free space on the server"}};
+    {503, "Service Unavailable", "check the server: it is overloaded, or it restarts", Errc::busy},
+    {504, "Gateway Timeout", "check the server behind the gateway: it does not answer", Errc::timed_out},
+    {507, "Insufficient Storage", "free space on the server", Errc::storage_full}};
 
 const Status& status_of(long number) {
   const auto* found = std::find_if(std::begin(statuses), std::end(statuses),
@@ -65,39 +69,12 @@ const Status& status_of(long number) {
   return found != std::end(statuses) ? *found : unknown;
 }
 
-Errc errc_of(long status) {
-  switch (status) {
-    case 401:
-    case 403:
-    case 407:
-      return Errc::not_permitted;
-    case 404:
-    case 410:
-      return Errc::not_found;
-    case 400:
-    case 422:
-      return Errc::bad_data;
-    case 413:
-      return Errc::does_not_fit;
-    case 408:
-    case 504:
-      return Errc::timed_out;
-    case 429:
-    case 503:
-      return Errc::busy;
-    case 507:
-      return Errc::storage_full;
-    default:
-      return Errc::io_failed;
-  }
-}
-
 Error said(const HttpAnswer& answer, const std::string& origin) {
   const Status& status = status_of(answer.status);
   std::string why = "the server answers " + std::to_string(answer.status);
   if (status.number != 0) why += std::string(" ") + status.name;
   if (const std::string line = first_line_of(answer.text); !line.empty()) why += ": " + line;
-  return {errc_of(answer.status), what, origin, std::move(why), status.advice};
+  return {status.code, what, origin, std::move(why), status.advice};
 }
 
 std::string redirect_advice(const HttpAnswer& answer, const std::string& origin) {
@@ -168,7 +145,7 @@ HttpJudgement judge(const HttpFailure& failure, const std::string& origin, const
   if (failure.connect_status >= 400 && !proxy_origin.empty()) {
     const Status& status = status_of(failure.connect_status);
     error.where = origin + " by the proxy " + proxy_origin;
-    say(errc_of(failure.connect_status),
+    say(status.code,
         "the proxy answers " + std::to_string(failure.connect_status) + (status.number != 0 ? " " : "") + status.name,
         failure.connect_status == 407 ? std::string(status.advice) + kept
                                       : "check whether the proxy allows this connection");

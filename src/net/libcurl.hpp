@@ -14,15 +14,5 @@
   of(curl_url_cleanup) of(curl_url_get) of(curl_url_set) of(curl_version_info)
 // clang-format on
 
-namespace rtdata {
-
-RTDATA_LIBCURL(RTDATA_LOADED_FUNCTION)
-
-namespace detail {
-
-inline constexpr const char* libcurl_sonames[] = {"libcurl.so.4", "libcurl-gnutls.so.4"};
-inline constexpr LoadedLibrary::Function libcurl_functions[] = {RTDATA_LIBCURL(RTDATA_LOADED_NAME)};
-inline constinit LoadedLibrary libcurl{"type http", "libcurl", "libcurl4", libcurl_sonames, libcurl_functions};
-
-}  // namespace detail
-}  // namespace rtdata
+RTDATA_LOADED_LIBRARY(libcurl, RTDATA_LIBCURL, "type http", "libcurl", "libcurl4", "libcurl.so.4",
+                      "libcurl-gnutls.so.4")

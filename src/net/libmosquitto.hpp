@@ -20,16 +20,5 @@
   of(mosquitto_will_set)
 // clang-format on
 
-namespace rtdata {
-
-RTDATA_LIBMOSQUITTO(RTDATA_LOADED_FUNCTION)
-
-namespace detail {
-
-inline constexpr const char* libmosquitto_sonames[] = {"libmosquitto.so.1"};
-inline constexpr LoadedLibrary::Function libmosquitto_functions[] = {RTDATA_LIBMOSQUITTO(RTDATA_LOADED_NAME)};
-inline constinit LoadedLibrary libmosquitto{"type mqtt", "libmosquitto", "libmosquitto1", libmosquitto_sonames,
-                                            libmosquitto_functions};
-
-}  // namespace detail
-}  // namespace rtdata
+RTDATA_LOADED_LIBRARY(libmosquitto, RTDATA_LIBMOSQUITTO, "type mqtt", "libmosquitto", "libmosquitto1",
+                      "libmosquitto.so.1")

@@ -20,18 +20,8 @@
   of(X509_verify_cert_error_string)
 // clang-format on
 
-namespace rtdata {
-
-RTDATA_LIBSSL(RTDATA_LOADED_FUNCTION)
-
-namespace detail {
-
 #define RTDATA_TEXT_OF(number) #number
 #define RTDATA_NUMBER_AS_TEXT(number) RTDATA_TEXT_OF(number)
-inline constexpr const char* libssl_sonames[] = {"libssl.so." RTDATA_NUMBER_AS_TEXT(OPENSSL_SHLIB_VERSION)};
-inline constexpr LoadedLibrary::Function libssl_functions[] = {RTDATA_LIBSSL(RTDATA_LOADED_NAME)};
-inline constinit LoadedLibrary libssl{"`tls`", "OpenSSL", "libssl" RTDATA_NUMBER_AS_TEXT(OPENSSL_SHLIB_VERSION),
-                                      libssl_sonames, libssl_functions};
 
-}  // namespace detail
-}  // namespace rtdata
+RTDATA_LOADED_LIBRARY(libssl, RTDATA_LIBSSL, "`tls`", "OpenSSL", "libssl" RTDATA_NUMBER_AS_TEXT(OPENSSL_SHLIB_VERSION),
+                      "libssl.so." RTDATA_NUMBER_AS_TEXT(OPENSSL_SHLIB_VERSION))

@@ -15,15 +15,4 @@
   of(PQsetnonblocking) of(PQsocket) of(PQstatus) of(PQtransactionStatus)
 // clang-format on
 
-namespace rtdata {
-
-RTDATA_LIBPQ(RTDATA_LOADED_FUNCTION)
-
-namespace detail {
-
-inline constexpr const char* libpq_sonames[] = {"libpq.so.5"};
-inline constexpr LoadedLibrary::Function libpq_functions[] = {RTDATA_LIBPQ(RTDATA_LOADED_NAME)};
-inline constinit LoadedLibrary libpq{"type postgresql", "libpq", "libpq5", libpq_sonames, libpq_functions};
-
-}  // namespace detail
-}  // namespace rtdata
+RTDATA_LOADED_LIBRARY(libpq, RTDATA_LIBPQ, "type postgresql", "libpq", "libpq5", "libpq.so.5")

@@ -9,6 +9,7 @@
 #include <map>
 
 #include "data/load.hpp"
+#include "data/part_of.hpp"
 #include "data/utf8.hpp"
 #include "postgresql/layout.hpp"
 #include "rtdata/data/value.hpp"
@@ -16,6 +17,7 @@
 namespace rtdata::postgresql {
 namespace {
 
+using detail::is_part_of;
 using detail::load;
 
 constexpr std::size_t most_fields = 1590;  // a table has at most 1600 columns
@@ -87,18 +89,6 @@ std::string text_of(const Leaf& leaf, const std::byte* payload) {
     return out;
   }
   return to_string(value);
-}
-
-bool same_leaf(const Leaf& a, const Leaf& b) {
-  return a.path == b.path && a.kind == b.kind && a.unit == b.unit &&
-         (a.optional == nullptr) == (b.optional == nullptr) && a.field->values == b.field->values;
-}
-
-bool is_part_of(const Description& part, const Description& whole) {
-  return std::all_of(part.leaves().begin(), part.leaves().end(), [&](const Leaf& leaf) {
-    return std::any_of(whole.leaves().begin(), whole.leaves().end(),
-                       [&](const Leaf& other) { return same_leaf(leaf, other); });
-  });
 }
 
 std::string table_name(const std::string& topic, std::int64_t version) {

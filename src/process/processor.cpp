@@ -8,6 +8,7 @@
 
 #include "data/field_layout.hpp"
 #include "data/fnv.hpp"
+#include "data/load.hpp"
 #include "data/saturating.hpp"
 #include "process/published.hpp"
 #include "rtdata/data/time.hpp"
@@ -16,33 +17,6 @@
 
 namespace rtdata::detail {
 namespace {
-
-/// Calls `use` with a value of the C++ type of a numeric kind.
-template <class Use>
-void with_type(Kind kind, const Use& use) noexcept {
-  switch (kind) {
-    case Kind::f64:
-      return use(double{});
-    case Kind::f32:
-      return use(float{});
-    case Kind::i8:
-      return use(std::int8_t{});
-    case Kind::i16:
-      return use(std::int16_t{});
-    case Kind::i32:
-      return use(std::int32_t{});
-    case Kind::i64:
-      return use(std::int64_t{});
-    case Kind::u8:
-      return use(std::uint8_t{});
-    case Kind::u16:
-      return use(std::uint16_t{});
-    case Kind::u32:
-      return use(std::uint32_t{});
-    default:
-      return use(std::uint64_t{});
-  }
-}
 
 /// True if both have the same steps; their constants may differ.
 bool has_same_steps(const FieldProcessing& a, const FieldProcessing& b) noexcept {
@@ -258,7 +232,7 @@ Processor::Fate Processor::take(void*& payload, Time time, std::uint64_t breaks)
       pass_absent(group, is_wanted);
     } else if (!run(group, from, time, is_wanted)) {
       const std::byte* const raw = from + source_->leaves()[failed_leaf_].offset;
-      with_type(group.from, [&]<class T>(T value) {
+      for_number(group.from, [&]<class T>(T value) {
         std::memcpy(&value, raw, sizeof value);
         if (std::isfinite(static_cast<double>(value))) return;
         failure_ = Failure::raw_not_finite;
@@ -310,7 +284,7 @@ bool Processor::run(Group& group, const std::byte* payload, Time time, bool& is_
   if (group.from_is_row) {
     std::memcpy(x, payload + lane->from, lanes * sizeof *x);
   } else {
-    with_type(group.from, [&]<class T>(T value) {
+    for_number(group.from, [&]<class T>(T value) {
       for (std::size_t i = 0; i < lanes; ++i) {
         std::memcpy(&value, payload + lane[i].from, sizeof value);
         x[i] = static_cast<double>(value);

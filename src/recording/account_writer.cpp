@@ -8,7 +8,10 @@
 namespace rtdata::sqlite {
 namespace {
 
-std::int64_t as_integer(std::uint64_t value) { return static_cast<std::int64_t>(value); }
+/// For columns that are NULL instead of 0.
+std::optional<std::uint64_t> unless_zero(std::uint64_t count) {
+  return count != 0 ? std::optional(count) : std::nullopt;
+}
 
 /// The last row of the topic's table; 0: it has none.
 std::int64_t last_row_of(const SlotInfo& slot, const TopicTables& tables) {
@@ -89,8 +92,7 @@ void AccountWriter::write_slots(const Batch& batch, const TopicTables& tables) {
   slots_in_transaction_ = static_cast<std::uint32_t>(batch.slots());  // the loop adds more meanwhile
   for (std::uint32_t i = known_slots_; i < slots_in_transaction_; ++i) {
     const SlotInfo& slot = batch.slot(i);
-    slot_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, std::int64_t{i});
-    slot_.bind(5, last_row_of(slot, tables));
+    slot_.bind_all(run_, slot.topic, slot.origin, i, last_row_of(slot, tables));
     sums_->run(slot_);
   }
 }
@@ -98,47 +100,24 @@ void AccountWriter::write_slots(const Batch& batch, const TopicTables& tables) {
 void AccountWriter::write(const Batch& batch, const Account& account, const TopicTables& tables) {
   next_gaps_ = grown_gaps_;
   const auto put_segment = [&](const SlotInfo& slot, const Segment& segment) {
-    schedule_.bind(1, run_).bind(2, slot.origin).bind(3, slot.topic).bind(4, to_nanoseconds(segment.first_due));
-    schedule_.bind(5, segment.period.count())
-        .bind(6, to_nanoseconds(segment.end))
-        .bind(7, as_integer(segment.scheduled))
-        .bind(8, segment.late_after.count());
-    schedule_before_.bind(1, run_).bind(2, slot.origin).bind(3, to_nanoseconds(segment.first_due));
+    const std::int64_t first_due = to_nanoseconds(segment.first_due);
+    schedule_.bind_all(run_, slot.origin, slot.topic, first_due, segment.period.count(), to_nanoseconds(segment.end),
+                       segment.scheduled, segment.late_after.count());
+    schedule_before_.bind_all(run_, slot.origin, first_due);
     sums_->replace(schedule_before_, schedule_);
   };
   for (const Account::SegmentEntry& entry : account.segments) put_segment(batch.slot(entry.slot), entry.segment);
   for (const OriginAccount& origin : account.origins) {
     const SlotInfo& slot = batch.slot(origin.slot);
     const SensorCounts& s = origin.sensor;
-    ledger_.bind(1, run_)
-        .bind(2, slot.topic)
-        .bind(3, slot.origin)
-        .bind(4, std::int64_t{origin.slot})
-        .bind(5, std::int64_t{s.has_schedule});
-    ledger_.bind(6, as_integer(s.scheduled))
-        .bind(7, as_integer(s.taken))
-        .bind(8, as_integer(s.missed))
-        .bind(9, as_integer(s.failed));
-    ledger_.bind(10, as_integer(s.in_flight)).bind(11, as_integer(s.late)).bind(12, as_integer(s.received));
-    ledger_.bind(13, as_integer(s.published)).bind(14, as_integer(s.repeated)).bind(15, as_integer(s.filtered));
-    if (s.lost_is_known) {
-      ledger_.bind(16, as_integer(s.lost));
-    } else {
-      ledger_.bind_null(16);
-    }
-    ledger_.bind(17, as_integer(origin.offered)).bind(18, as_integer(batch.stored_after(origin.slot)));
-    ledger_.bind(19, as_integer(origin.dropped_newest)).bind(20, as_integer(origin.dropped_oldest));
-    ledger_.bind(21, as_integer(batch.refused_after(origin.slot)));
-    ledger_.bind(22, as_integer(origin.first_sequence)).bind(23, as_integer(origin.last_sequence));
-    ledger_.bind(24, last_row_of(slot, tables)).bind(25, as_integer(origin.carried));
-    ledger_.bind(26, as_integer(s.unreadable)).bind(27, std::int64_t{s.has_schedule && s.is_one_a_read});
-    ledger_.bind(28, as_integer(s.lateness));
-    if (s.first_lines != 0) {
-      ledger_.bind(29, as_integer(s.first_lines));
-    } else {
-      ledger_.bind_null(29);
-    }
-    ledger_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+    ledger_.bind_all(run_, slot.topic, slot.origin, origin.slot, s.has_schedule, s.scheduled, s.taken, s.missed,
+                     s.failed, s.in_flight, s.late, s.received, s.published, s.repeated, s.filtered,
+                     s.lost_is_known ? std::optional(s.lost) : std::nullopt, origin.offered,
+                     batch.stored_after(origin.slot), origin.dropped_newest, origin.dropped_oldest,
+                     batch.refused_after(origin.slot), origin.first_sequence, origin.last_sequence,
+                     last_row_of(slot, tables), origin.carried, s.unreadable, s.has_schedule && s.is_one_a_read,
+                     s.lateness, unless_zero(s.first_lines));
+    ledger_before_.bind_all(run_, slot.topic, slot.origin);
     sums_->replace(ledger_before_, ledger_);
     if (origin.segment.scheduled > 0) {  // a segment without ticks has no information
       put_segment(slot, origin.segment);
@@ -146,8 +125,8 @@ void AccountWriter::write(const Batch& batch, const Account& account, const Topi
   }
   for (const Account::MadeOfEntry& entry : account.made_of) {
     const SlotInfo& slot = batch.slot(entry.slot);
-    made_of_.bind(1, entry.topics).bind(2, run_).bind(3, slot.topic).bind(4, slot.origin);
-    ledger_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+    made_of_.bind_all(entry.topics, run_, slot.topic, slot.origin);
+    ledger_before_.bind_all(run_, slot.topic, slot.origin);
     sums_->replace(ledger_before_, made_of_);
   }
   for (const Account::GapEntry& entry : account.gaps) {
@@ -158,48 +137,28 @@ void AccountWriter::write(const Batch& batch, const Account& account, const Topi
     write_gap(origin.slot, batch.slot(origin.slot), origin.gap, GapIs::under_way);
   }
   for (const ClockPair& pair : account.clock) {
-    clock_.bind(1, run_)
-        .bind(2, pair.monotonic.time_since_epoch().count())
-        .bind(3, to_nanoseconds(pair.realtime))
-        .bind(4, std::string_view(pair.source));
-    clock_.bind(5, std::string_view(pair.occasion));
-    if (pair.accuracy) {
-      clock_.bind(6, pair.accuracy->count());
-    } else {
-      clock_.bind_null(6);
-    }
-    clock_.bind(7, pair.suspended.count());
+    clock_.bind_all(run_, pair.monotonic.time_since_epoch().count(), to_nanoseconds(pair.realtime), pair.source,
+                    pair.occasion, pair.accuracy ? std::optional(pair.accuracy->count()) : std::nullopt,
+                    pair.suspended.count());
     sums_->run(clock_);
   }
   if (!account.clock.empty()) write_utc_line(*database_, boot_id_);
   for (const Account::ErrorEntry& entry : account.errors) {
-    error_.bind(1, run_)
-        .bind(2, to_nanoseconds(entry.time))
-        .bind(3, entry.object)
-        .bind(4, entry.id)
-        .bind(5, entry.text)
-        .bind(6, as_integer(entry.count))
-        .bind(7, to_nanoseconds(entry.last));
+    error_.bind_all(run_, to_nanoseconds(entry.time), entry.object, entry.id, entry.text, entry.count,
+                    to_nanoseconds(entry.last));
     sums_->run(error_);
   }
   for (const Account::HealthEntry& entry : account.health) {
-    health_.bind(1, run_)
-        .bind(2, to_nanoseconds(entry.time))
-        .bind(3, entry.change.kind.view())
-        .bind(4, entry.change.name.view());
-    health_.bind(5, name_of(entry.change.state)).bind(6, entry.change.reason.view());
-    health_.bind(7, as_integer(entry.count)).bind(8, to_nanoseconds(entry.last));
+    health_.bind_all(run_, to_nanoseconds(entry.time), entry.change.kind.view(), entry.change.name.view(),
+                     name_of(entry.change.state), entry.change.reason.view(), entry.count, to_nanoseconds(entry.last));
     sums_->run(health_);
   }
   for (const ConfigurationChange& change : account.configurations) {
-    configuration_.bind(1, run_)
-        .bind(2, to_nanoseconds(change.time))
-        .bind(3, std::string_view(change.object))
-        .bind(4, std::string_view(change.text));
+    configuration_.bind_all(run_, to_nanoseconds(change.time), change.object, change.text);
     sums_->run(configuration_);
   }
   const std::string_view state = !account.is_last ? "recording" : account.unknown.empty() ? "closed" : "sealed";
-  run_end_.bind(1, to_nanoseconds(account.at)).bind(2, state).bind(3, std::string_view(account.unknown)).bind(4, run_);
+  run_end_.bind_all(to_nanoseconds(account.at), state, account.unknown, run_);
   run_before_.bind(1, run_);
   sums_->replace(run_before_, run_end_);
 }
@@ -207,13 +166,8 @@ void AccountWriter::write(const Batch& batch, const Account& account, const Topi
 /// A gap that was stored while it was open has a row, which is updated.
 void AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot, const Gap& gap, GapIs what) {
   const auto run_with = [&](Statement& statement) {
-    statement.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, name_of(gap.kind)).bind(5, gap.reason);
-    statement.bind(6, to_nanoseconds(gap.first)).bind(7, to_nanoseconds(gap.last));
-    if (gap.count != 0) {
-      statement.bind(8, as_integer(gap.count));
-    } else {
-      statement.bind_null(8);
-    }
+    statement.bind_all(run_, slot.topic, slot.origin, name_of(gap.kind), gap.reason, to_nanoseconds(gap.first),
+                       to_nanoseconds(gap.last), unless_zero(gap.count));
     sums_->run(statement);
   };
   const auto known = next_gaps_.find(number);
@@ -223,7 +177,7 @@ void AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot, const 
     const auto grow = [&] {
       for (Statement* statement : {&gap_before_, &grown_gap_})
         statement->bind(9, known->second.second).bind(10, to_nanoseconds(before));
-      gap_before_.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin);
+      gap_before_.bind_all(run_, slot.topic, slot.origin);
       sums_->run(gap_before_, AccountSums::Rows::go);
       run_with(grown_gap_);
     };
@@ -231,7 +185,7 @@ void AccountWriter::write_gap(std::uint32_t number, const SlotInfo& slot, const 
     if (sqlite3_changes(database_->raw()) == 0) {  // VACUUM has given it another number
       auto row = database_->prepare(
           "SELECT _rowid_ FROM rtdata_gap WHERE run = ? AND topic = ? AND origin = ? AND first = ?");
-      row.bind(1, run_).bind(2, slot.topic).bind(3, slot.origin).bind(4, to_nanoseconds(before));
+      row.bind_all(run_, slot.topic, slot.origin, to_nanoseconds(before));
       known->second.second = row.step() ? row.integer(0) : 0;
       grow();
     }

@@ -6,8 +6,10 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
+#include <type_traits>
 #include <vector>
 
 #include "rtdata/data/error.hpp"
@@ -26,6 +28,13 @@ class Statement {
   /// Escapes bytes that are not UTF-8. Does not copy: the text must live until the statement has run.
   Statement& bind(int index, std::string_view value);
   Statement& bind_null(int index) noexcept;
+  /// Binds the parameters from the first on; an empty optional as NULL.
+  template <class... Values>
+  Statement& bind_all(const Values&... values) {
+    int index = 0;
+    (bind_any(++index, values), ...);
+    return *this;
+  }
 
   /// Runs up to the next row: true when there is one. One that fails is reset.
   bool step();
@@ -45,6 +54,17 @@ class Statement {
   struct Finalize {
     void operator()(sqlite3_stmt* statement) const noexcept { sqlite3_finalize(statement); }
   };
+  template <class Value>
+  void bind_any(int index, const Value& value) {
+    if constexpr (std::is_integral_v<Value>)
+      bind(index, static_cast<std::int64_t>(value));
+    else
+      bind(index, value);
+  }
+  template <class Value>
+  void bind_any(int index, const std::optional<Value>& value) {
+    value ? bind_any(index, *value) : static_cast<void>(bind_null(index));
+  }
   std::unique_ptr<sqlite3_stmt, Finalize> statement_;
 };
 

@@ -22,6 +22,7 @@
 #include "recording/step.hpp"
 #include "recording/topic_table.hpp"
 #include "recording/utc_line.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 #include "rtdata/recording/runs.hpp"
 #include "rtdata/recording/verify.hpp"
 
@@ -512,11 +513,10 @@ void Merge::add_senders(Database& to) {
 
 /// Empty, or of SQLite, as a merge that was killed leaves it.
 bool is_left_by_merge(const std::string& path) {
-  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  const detail::Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  const int fd = file.fd();
   struct stat about {};
-  const bool is_left = fd < 0 || (::fstat(fd, &about) == 0 && about.st_size == 0) || detail::is_sqlite_file(fd);
-  if (fd >= 0) ::close(fd);
-  return is_left;
+  return fd < 0 || (::fstat(fd, &about) == 0 && about.st_size == 0) || detail::is_sqlite_file(fd);
 }
 
 /// The file that is made beside `path`, and removed with the object unless it was renamed.
@@ -562,11 +562,9 @@ class Beside {
   }
 
   void rename() {
-    const int fd = ::open(made_.c_str(), O_RDONLY | O_CLOEXEC);
-    const bool is_synced = fd >= 0 && ::fsync(fd) == 0;
-    const int failed = errno;
-    if (fd >= 0) ::close(fd);
-    if (!is_synced) throw SetupError(system_error(failed, merging, made_, "check the disk"));
+    const detail::Descriptor file(::open(made_.c_str(), O_RDONLY | O_CLOEXEC));
+    if (file.fd() < 0 || ::fsync(file.fd()) != 0)
+      throw SetupError(system_error(errno, merging, made_, "check the disk"));
     if (::renameat2(AT_FDCWD, made_.c_str(), AT_FDCWD, path_.c_str(), RENAME_NOREPLACE) != 0) {
       struct stat there {};
       const int reason = errno;
@@ -577,11 +575,9 @@ class Beside {
       if (::rename(made_.c_str(), path_.c_str()) != 0) throw SetupError(system_error(errno, merging, path_, ""));
     }
     is_renamed_ = true;
-    const int folder = ::open(std::filesystem::path(real_).parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-    if (folder >= 0) {
-      (void)::fsync(folder);
-      ::close(folder);
-    }
+    const detail::Descriptor folder(
+        ::open(std::filesystem::path(real_).parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+    if (folder.fd() >= 0) (void)::fsync(folder.fd());
   }
 
   const std::string& path() const noexcept { return made_; }

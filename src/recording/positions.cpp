@@ -250,8 +250,7 @@ void Positions::write(Database& database, AccountSums& sums) {
   const std::string host = host_name();
   auto position = database.prepare("INSERT OR REPLACE INTO rtdata_position VALUES(?,?,?,?,?,?,?)");
   for (const auto& [key, at] : in_transaction_) {
-    position.bind(1, key.first).bind(2, key.second).bind(3, at.row).bind(4, at.run).bind(5, at.origin);
-    position.bind(6, at.sequence).bind(7, host);
+    position.bind_all(key.first, key.second, at.row, at.run, at.origin, at.sequence, host);
     position.run();
   }
   auto before = database.prepare("SELECT " + senders +

@@ -7,7 +7,6 @@
 #include <cerrno>
 #include <cstdlib>
 #include <string_view>
-#include <utility>
 
 namespace rtdata::sqlite {
 
@@ -16,28 +15,15 @@ Result<PrivateFolder> PrivateFolder::open(const std::string& path) {
   if (::mkdir(path.c_str(), 0700) != 0 && errno != EEXIST) return system_error(errno, doing, path, "");
   PrivateFolder made;
   made.path_ = path;
-  made.fd_ = ::open(path.c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
-  if (made.fd_ < 0) return system_error(errno, doing, path, "remove it, if it is not a folder of this user");
+  made.fd_.set(::open(path.c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC));
+  if (made.fd() < 0) return system_error(errno, doing, path, "remove it, if it is not a folder of this user");
   struct stat about {};
-  if (::fstat(made.fd_, &about) != 0) return system_error(errno, doing, path, "");
+  if (::fstat(made.fd(), &about) != 0) return system_error(errno, doing, path, "");
   if (about.st_uid != ::geteuid())
     return Error{Errc::not_permitted, doing, path, "it belongs to another user", "remove it"};
   if ((about.st_mode & 022) != 0)
     return Error{Errc::not_permitted, doing, path, "others may write into it", "chmod 0700 it"};
   return made;
-}
-
-PrivateFolder::PrivateFolder(PrivateFolder&& other) noexcept
-    : path_(std::move(other.path_)), fd_(std::exchange(other.fd_, -1)) {}
-
-PrivateFolder& PrivateFolder::operator=(PrivateFolder&& other) noexcept {
-  std::swap(path_, other.path_);
-  std::swap(fd_, other.fd_);
-  return *this;
-}
-
-PrivateFolder::~PrivateFolder() {
-  if (fd_ >= 0) ::close(fd_);
 }
 
 std::vector<std::string> private_folders() {

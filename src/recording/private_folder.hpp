@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "rtdata/data/error.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 
 namespace rtdata::sqlite {
 
@@ -15,15 +16,12 @@ class PrivateFolder {
   /// Opens the folder; it is made with mode 0700 when it is not there. Errors: not-permitted when it belongs to another
   /// user, or others may write into it, or it is a symbolic link.
   static Result<PrivateFolder> open(const std::string& path);
-  PrivateFolder(PrivateFolder&& other) noexcept;
-  PrivateFolder& operator=(PrivateFolder&& other) noexcept;
-  ~PrivateFolder();
-  int fd() const noexcept { return fd_; }
+  int fd() const noexcept { return fd_.fd(); }
   const std::string& path() const noexcept { return path_; }
 
  private:
   std::string path_;
-  int fd_ = -1;
+  detail::Descriptor fd_;
 };
 
 /// The possible folders, best first: $RUNTIME_DIRECTORY from a service manager; $XDG_RUNTIME_DIR/rtdata of a logged-in

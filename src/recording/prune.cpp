@@ -180,9 +180,8 @@ std::int64_t Pruner::delete_beyond(const Work& on, const Limit& limit) {
     for (std::int64_t left = most; left > 0 && is_beyond(table, limit);) {  // run by run
       const bool is_whole_run = table.first_time >= limit.time;
       const std::int64_t shift = line_of(table.first_run).shift;
-      table.up_to.bind(1, left)
-          .bind(2, is_whole_run ? std::numeric_limits<std::int64_t>::max() : limit.time - shift)
-          .bind(3, table.first_run);
+      table.up_to.bind_all(left, is_whole_run ? std::numeric_limits<std::int64_t>::max() : limit.time - shift,
+                           table.first_run);
       table.up_to.step();
       const std::int64_t last = table.up_to.integer(table.up_to.is_null(0) ? 1 : 0);
       table.up_to.reset();

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cerrno>
 
+#include "data/name_in.hpp"
 #include "recording/recording_file.hpp"
 #include "recording/rows_merge.hpp"
 #include "recording/schema.hpp"
@@ -20,14 +21,8 @@ using sqlite::Database;
 using sqlite::Statement;
 
 std::string_view name_of(RunState state) noexcept {
-  switch (state) {
-    case RunState::closed:
-      return "closed";
-    case RunState::sealed:
-      return "sealed";
-    default:
-      return "recording";
-  }
+  constexpr std::string_view names[] = {"recording", "closed", "sealed"};
+  return detail::name_in(names, state);
 }
 
 namespace detail {

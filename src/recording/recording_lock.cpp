@@ -65,13 +65,6 @@ constexpr std::chrono::milliseconds pause_between_tries{50};
 
 constexpr const char* to_stop_other = "stop that one, or record into another file";
 
-struct Descriptor {
-  const int fd;
-  ~Descriptor() {
-    if (fd >= 0) ::close(fd);
-  }
-};
-
 std::string first_line_of(int fd) {
   std::array<char, longest_note> text{};
   const ssize_t got = ::pread(fd, text.data(), text.size(), 0);
@@ -89,12 +82,12 @@ Result<RecordingLock> RecordingLock::take(const std::string& recording) {
   RecordingLock made;
   made.path_ = recording + "-lock";
   for (;;) {
-    made.fd_ = ::open(made.path_.c_str(), lock_flags | O_CREAT, mode);
-    if (made.fd_ < 0) return failed(errno, made.path_);
+    made.fd_.set(::open(made.path_.c_str(), lock_flags | O_CREAT, mode));
+    if (made.fd_.fd() < 0) return failed(errno, made.path_);
     struct stat locked {};
-    if (::fstat(made.fd_, &locked) != 0) return failed(errno, made.path_);
+    if (::fstat(made.fd_.fd(), &locked) != 0) return failed(errno, made.path_);
     if (!S_ISREG(locked.st_mode)) return no_lock_file(made.path_);
-    if (::flock(made.fd_, LOCK_EX | LOCK_NB) != 0) {
+    if (::flock(made.fd_.fd(), LOCK_EX | LOCK_NB) != 0) {
       if (errno != EWOULDBLOCK) return failed(errno, made.path_);
       const std::string holder = detail::lock_holder(locked);
       const bool is_own = holder == "process " + std::to_string(::getpid());
@@ -106,22 +99,22 @@ Result<RecordingLock> RecordingLock::take(const std::string& recording) {
     if (::lstat(made.path_.c_str(), &there) == 0 && locked.st_ino == there.st_ino && locked.st_dev == there.st_dev) {
       // Less the umask when it was made; and the recording's permissions may have changed since.
       if (locked.st_uid == ::geteuid()) {
-        if (locked.st_gid != about.st_gid) (void)!::fchown(made.fd_, static_cast<uid_t>(-1), about.st_gid);
-        if ((locked.st_mode & 07777) != mode) (void)::fchmod(made.fd_, mode);
+        if (locked.st_gid != about.st_gid) (void)!::fchown(made.fd_.fd(), static_cast<uid_t>(-1), about.st_gid);
+        if ((locked.st_mode & 07777) != mode) (void)::fchmod(made.fd_.fd(), mode);
       }
       break;
     }
-    made.unlock();  // its holder has just removed it
+    made.fd_.set(-1);  // its holder has just removed it
   }
-  made.noted_ = first_line_of(made.fd_);
+  made.noted_ = first_line_of(made.fd_.fd());
   return made;
 }
 
 bool RecordingLock::is_free(const std::string& recording) noexcept try {
   const std::string path = recording + "-lock";
-  const Descriptor lock{::open(path.c_str(), (lock_flags & ~O_ACCMODE) | O_RDONLY)};
-  if (lock.fd < 0) return errno == ENOENT;
-  const auto holder = detail::other_lock_holder(lock.fd, path);
+  const detail::Descriptor lock(::open(path.c_str(), (lock_flags & ~O_ACCMODE) | O_RDONLY));
+  if (lock.fd() < 0) return errno == ENOENT;
+  const auto holder = detail::other_lock_holder(lock.fd(), path);
   return holder && holder->empty();
 } catch (...) {  // no memory
   return false;
@@ -129,17 +122,17 @@ bool RecordingLock::is_free(const std::string& recording) noexcept try {
 
 Result<void> RecordingLock::check_free(const std::string& recording) {
   const std::string path = recording + "-lock";
-  const Descriptor lock{::open(path.c_str(), lock_flags)};
+  const detail::Descriptor lock(::open(path.c_str(), lock_flags));
   struct stat about {};
-  if (lock.fd < 0 && errno != ENOENT) return failed(errno, path);
-  if (lock.fd < 0) {
+  if (lock.fd() < 0 && errno != ENOENT) return failed(errno, path);
+  if (lock.fd() < 0) {
     const std::string folder = recording.substr(0, recording.rfind('/') + 1);
     if (::faccessat(AT_FDCWD, folder.empty() ? "." : folder.c_str(), W_OK | X_OK, AT_EACCESS) != 0)
       return failed(errno, path);
     return {};
   }
-  if (::fstat(lock.fd, &about) == 0 && !S_ISREG(about.st_mode)) return no_lock_file(path);
-  auto holder = detail::other_lock_holder(lock.fd, path);
+  if (::fstat(lock.fd(), &about) == 0 && !S_ISREG(about.st_mode)) return no_lock_file(path);
+  auto holder = detail::other_lock_holder(lock.fd(), path);
   if (!holder) return std::move(holder).error();
   if (holder->empty()) return {};
   return held(recording, *holder, to_stop_other);
@@ -165,37 +158,18 @@ Result<void> hold_file(const Database& database) {
                to_stop_other};
 }
 
-RecordingLock::RecordingLock(RecordingLock&& other) noexcept
-    : path_(std::move(other.path_)), noted_(std::move(other.noted_)), fd_(std::exchange(other.fd_, -1)) {}
-
-RecordingLock& RecordingLock::operator=(RecordingLock&& other) noexcept {
-  if (this != &other) {
-    unlock();
-    path_ = std::move(other.path_);
-    noted_ = std::move(other.noted_);
-    fd_ = std::exchange(other.fd_, -1);
-  }
-  return *this;
-}
-
-RecordingLock::~RecordingLock() { unlock(); }
-
-void RecordingLock::unlock() noexcept {
-  if (fd_ >= 0) ::close(std::exchange(fd_, -1));
-}
-
 void RecordingLock::note(std::string_view line) noexcept {
-  if (fd_ < 0 || line.size() >= longest_note || ::ftruncate(fd_, 0) != 0) return;
+  if (fd_.fd() < 0 || line.size() >= longest_note || ::ftruncate(fd_.fd(), 0) != 0) return;
   std::array<char, longest_note> text{};
   const std::size_t size = line.copy(text.data(), line.size());
   text[size] = '\n';  // without it, half a line is not taken for one
-  (void)!::pwrite(fd_, text.data(), size + 1, 0);
+  (void)!::pwrite(fd_.fd(), text.data(), size + 1, 0);
 }
 
 void RecordingLock::remove() noexcept {
-  if (fd_ < 0) return;
+  if (fd_.fd() < 0) return;
   ::unlink(path_.c_str());  // before it is unlocked: a process that waits for it then sees that the file is gone
-  unlock();
+  fd_.set(-1);
 }
 
 }  // namespace rtdata::sqlite

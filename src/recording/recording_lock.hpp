@@ -9,9 +9,11 @@
 
 #include "recording/database.hpp"
 #include "rtdata/data/error.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 
 namespace rtdata::sqlite {
 
+/// Its destructor unlocks. The file stays unless `remove` was called.
 class RecordingLock {
  public:
   RecordingLock() = default;
@@ -22,10 +24,6 @@ class RecordingLock {
   static Result<void> check_free(const std::string& recording);
   /// True if nobody records into it, as far as this user can see.
   static bool is_free(const std::string& recording) noexcept;
-  RecordingLock(RecordingLock&& other) noexcept;
-  RecordingLock& operator=(RecordingLock&& other) noexcept;
-  /// Unlocks. The file stays unless `remove` was called.
-  ~RecordingLock();
 
   /// The last line of `note`, possibly from an ended process; empty: none. Any user with write permission may have
   /// written it, so check its content.
@@ -36,10 +34,9 @@ class RecordingLock {
   void remove() noexcept;
 
  private:
-  void unlock() noexcept;
   std::string path_;
   std::string noted_;
-  int fd_ = -1;
+  detail::Descriptor fd_;
 };
 
 /// Locks the file itself, so that nobody records into it under another name (a bind mount, as of a container). It is

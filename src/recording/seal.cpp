@@ -156,13 +156,8 @@ void seal_topic(Database& database, const OpenRun& run, const std::string& topic
       }
       if (first_sequence != 0) last_sequence = std::max(last_sequence, first_sequence + offered - 1);
     }
-    update.bind(1, offered)
-        .bind(2, row.stored + row.added)
-        .bind(3, dropped_more)
-        .bind(4, unsaved)
-        .bind(5, first_sequence)
-        .bind(6, last_sequence);
-    update.bind(7, run.run).bind(8, topic).bind(9, row.origin);
+    update.bind_all(offered, row.stored + row.added, dropped_more, unsaved, first_sequence, last_sequence, run.run,
+                    topic, row.origin);
     update.run();
   }
 }
@@ -200,12 +195,9 @@ std::string seal_run(Database& database, OpenRun& run, AccountSums& sums) {
   if (!run.had_row) remark += "; it was killed before it had opened this file, so its configuration is unknown";
   auto update = database.prepare(
       "UPDATE rtdata_run SET state = 'sealed', ended = ?, lost = ?, remark = ? WHERE run = ?");
-  update.bind(1, last_time).bind(3, remark).bind(4, run.run);
-  if (is_known && run.remark.empty()) {
-    update.bind(2, lost + static_cast<std::int64_t>(unnamed));
-  } else {
-    update.bind_null(2);
-  }
+  const bool is_counted = is_known && run.remark.empty();
+  update.bind_all(last_time, is_counted ? std::optional(lost + static_cast<std::int64_t>(unnamed)) : std::nullopt,
+                  remark, run.run);
   update.run();
   sums.add_run(database, run.run);
   return remark;
@@ -221,10 +213,9 @@ void insert_run(const Database& database, const RunInfo& run, AccountSums& sums)
       "rtdata_deleted)), ?,?,?,?,?,?,?,?,?,?,?,'recording',? RETURNING *");
   const std::string host = host_name();
   const std::string program = "rtdata " RTDATA_VERSION;
-  insert.bind(1, run.uuid).bind(2, run.name).bind(3, run.notes).bind(4, run.configuration).bind(5, program).bind(6, host);
-  insert.bind(7, run.boot_id).bind(8, run.pid).bind(9, to_nanoseconds(run.started));
-  insert.bind(10, to_nanoseconds(run.started)).bind(11, run.clock_offset.count());
-  insert.bind(12, std::int64_t{schema_version});
+  const std::int64_t started = to_nanoseconds(run.started);
+  insert.bind_all(run.uuid, run.name, run.notes, run.configuration, program, host, run.boot_id, run.pid, started,
+                  started, run.clock_offset.count(), schema_version);
   sums.run(insert);
 }
 

@@ -172,11 +172,7 @@ void put_gap(Database& database, const KilledOrigin& killed, const LiveGap& gap)
   const auto run = [&](std::string_view sql) {
     auto statement = prepare(database, killed, sql);
     statement.bind(4, gap.first).bind(5, gap.last).bind(6, name_of(gap.kind)).bind(7, std::string_view(reason));
-    if (gap.count != 0) {
-      statement.bind(8, signed_of(gap.count));
-    } else {
-      statement.bind_null(8);
-    }
+    gap.count != 0 ? statement.bind(8, signed_of(gap.count)) : statement.bind_null(8);
     return statement.run();
   };
   run("UPDATE rtdata_gap SET first = ?4, last = ?5, kind = ?6, reason = ?7, count = ?8 WHERE run = ?1 "

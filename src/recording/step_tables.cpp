@@ -5,6 +5,7 @@
 #include <type_traits>
 #include <variant>
 
+#include "data/load.hpp"
 #include "recording/schema.hpp"
 #include "rtdata/data/time.hpp"
 #include "rtdata/data/value.hpp"
@@ -12,40 +13,18 @@
 namespace rtdata::sqlite {
 namespace {
 
-template <class T>
-T load(const std::byte* at) {
-  T value;
-  std::memcpy(&value, at, sizeof value);
-  return value;
-}
+using detail::for_number;
+using detail::load;
 
 void add_value(Step& step, std::size_t field, const Leaf& leaf, const std::byte* payload) {
   const std::byte* const at = leaf.optional == nullptr ? payload + leaf.offset : find_value(leaf, payload);
   if (at == nullptr) return;
-  switch (leaf.kind) {
-    case Kind::f64:
-      return step.add(field, load<double>(at));
-    case Kind::f32:
-      return step.add(field, static_cast<double>(load<float>(at)));
-    case Kind::i64:
-      return step.add(field, load<std::int64_t>(at));
-    case Kind::u64:
-      return step.add(field, load<std::uint64_t>(at));
-    case Kind::i32:
-      return step.add(field, std::int64_t{load<std::int32_t>(at)});
-    case Kind::u32:
-      return step.add(field, std::int64_t{load<std::uint32_t>(at)});
-    case Kind::i16:
-      return step.add(field, std::int64_t{load<std::int16_t>(at)});
-    case Kind::u16:
-      return step.add(field, std::int64_t{load<std::uint16_t>(at)});
-    case Kind::i8:
-      return step.add(field, std::int64_t{load<std::int8_t>(at)});
-    case Kind::u8:
-      return step.add(field, std::int64_t{load<std::uint8_t>(at)});
-    default:
-      return step.add(field, std::int64_t{load<bool>(at)});
-  }
+  if (leaf.kind == Kind::boolean) return step.add(field, std::int64_t{load<bool>(at)});
+  for_number(leaf.kind, [&](auto zero) {
+    using T = decltype(zero);
+    using Wide = std::conditional_t<std::is_same_v<T, std::uint64_t>, T, std::int64_t>;
+    step.add(field, static_cast<std::conditional_t<std::is_floating_point_v<T>, double, Wide>>(load<T>(at)));
+  });
 }
 
 /// Binds what a step gives, behind the columns up to the checksum.

@@ -3,12 +3,21 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <type_traits>
 
+#include "data/field_layout.hpp"
+#include "data/load.hpp"
+#include "data/part_of.hpp"
 #include "recording/schema.hpp"
 #include "rtdata/data/value.hpp"
 
 namespace rtdata::sqlite {
 namespace {
+
+using detail::for_number;
+using detail::is_number_kind;
+using detail::is_part_of;
+using detail::load;
 
 constexpr std::size_t most_rows_per_statement = 16;
 constexpr std::size_t most_parameters = 32766;  // SQLITE_MAX_VARIABLE_NUMBER of stock builds
@@ -31,19 +40,6 @@ const char* type_of(const Leaf& leaf) {
 }
 
 std::string column_of(const Leaf& leaf) { return quoted(leaf.path) + " " + type_of(leaf); }
-
-bool same_leaf(const Leaf& a, const Leaf& b) {
-  return a.path == b.path && a.kind == b.kind && a.unit == b.unit &&
-         (a.optional == nullptr) == (b.optional == nullptr) && a.field->values == b.field->values;
-}
-
-/// Every leaf of `part` is in `whole`, with the same meaning.
-bool is_part_of(const Description& part, const Description& whole) {
-  return std::all_of(part.leaves().begin(), part.leaves().end(), [&](const Leaf& leaf) {
-    return std::any_of(whole.leaves().begin(), whole.leaves().end(),
-                       [&](const Leaf& other) { return same_leaf(leaf, other); });
-  });
-}
 
 /// As SQLite compares names: without the case of the letters of ASCII.
 bool starts_with(const std::string& name, const char* start) {
@@ -135,13 +131,6 @@ Text bind_text(sqlite3_stmt* statement, int index, std::string_view text, RowHas
   sqlite3_bind_blob64(statement, index, text.data(), text.size(), SQLITE_STATIC);
   hash.blob(text);
   return Text::other;
-}
-
-template <class T>
-T load(const std::byte* at) {
-  T value;
-  std::memcpy(&value, at, sizeof value);
-  return value;
 }
 
 }  // namespace
@@ -268,51 +257,26 @@ void TopicTable::bind(sqlite3_stmt* statement, int index, const Record& record) 
   const std::byte* payload = record.payload.data();
   for (const Column& column : columns_) {
     const std::byte* at = payload + column.offset;
-    switch (column.kind) {
-      case Kind::f64:
-        real(load<double>(at));
-        break;
-      case Kind::f32:
-        real(load<float>(at));
-        break;
-      case Kind::i64:
-      case Kind::u64:
-        integer(load<std::int64_t>(at));
-        break;
-      case Kind::i32:
-        integer(load<std::int32_t>(at));
-        break;
-      case Kind::u32:
-        integer(load<std::uint32_t>(at));
-        break;
-      case Kind::i16:
-        integer(load<std::int16_t>(at));
-        break;
-      case Kind::u16:
-        integer(load<std::uint16_t>(at));
-        break;
-      case Kind::i8:
-        integer(load<std::int8_t>(at));
-        break;
-      case Kind::u8:
-        integer(load<std::uint8_t>(at));
-        break;
-      case Kind::boolean:
-        integer(load<bool>(at) ? 1 : 0);
-        break;
-      default:
-        if (column.leaf->kind == Kind::text) {
-          const std::byte* value = find_value(*column.leaf, payload);
-          if (value == nullptr) {
-            sqlite3_bind_null(statement, index);
-            hash_.null();
-          } else if (bind_text(statement, index, detail::text_at(*column.leaf, value), hash_) == Text::other) {
-            no_utf8_->add(record.slot);
-          }
-          break;
-        }
-        bind_value(statement, index, *column.leaf, read(*column.leaf, payload), hash_);
-        break;
+    if (is_number_kind(column.kind)) {
+      for_number(column.kind, [&](auto zero) {
+        const auto value = load<decltype(zero)>(at);
+        if constexpr (std::is_floating_point_v<decltype(zero)>)
+          real(value);
+        else
+          integer(static_cast<std::int64_t>(value));
+      });
+    } else if (column.kind == Kind::boolean) {
+      integer(load<bool>(at) ? 1 : 0);
+    } else if (column.leaf->kind == Kind::text) {
+      const std::byte* value = find_value(*column.leaf, payload);
+      if (value == nullptr) {
+        sqlite3_bind_null(statement, index);
+        hash_.null();
+      } else if (bind_text(statement, index, detail::text_at(*column.leaf, value), hash_) == Text::other) {
+        no_utf8_->add(record.slot);
+      }
+    } else {
+      bind_value(statement, index, *column.leaf, read(*column.leaf, payload), hash_);
     }
     ++index;
   }

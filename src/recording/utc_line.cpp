@@ -246,10 +246,7 @@ void write_utc_line(Database& database, std::string_view boot_id) {
   if (wanted == line.stretches().end()) return;
   auto insert = database.prepare("INSERT INTO rtdata_utc(boot_id, since, \"offset\", rate) VALUES(?,?,?,?)");
   for (auto next = wanted; next != line.stretches().end(); ++next) {
-    insert.bind(1, boot_id)
-        .bind(2, next->since.time_since_epoch().count())
-        .bind(3, next->offset.count())
-        .bind(4, next->rate);
+    insert.bind_all(boot_id, next->since.time_since_epoch().count(), next->offset.count(), next->rate);
     insert.run();
   }
 }

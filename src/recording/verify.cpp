@@ -10,6 +10,7 @@
 #include <map>
 #include <set>
 
+#include "data/name_in.hpp"
 #include "data/saturating.hpp"
 #include "recording/live_file.hpp"
 #include "recording/recording_file.hpp"
@@ -219,18 +220,8 @@ void TopicLoss::add(const TopicLoss& other) noexcept {
 }
 
 std::string_view name_of(Verdict verdict) noexcept {
-  switch (verdict) {
-    case Verdict::balanced:
-      return "balanced";
-    case Verdict::sealed:
-      return "sealed";
-    case Verdict::recording:
-      return "recording";
-    case Verdict::unsealed:
-      return "not sealed";
-    default:
-      return "not balanced";
-  }
+  constexpr std::string_view names[] = {"balanced", "sealed", "recording", "not sealed", "not balanced"};
+  return detail::name_in(names, verdict);
 }
 
 namespace detail {

@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "data/name_in.hpp"
 #include "data/wrap.hpp"
 #include "recording/account_text.hpp"
 #include "recording/verify_run.hpp"
@@ -22,19 +23,13 @@ std::string times_of(const RunReport& run) {
 }
 
 std::string conclusion(Verdict verdict) {
-  switch (verdict) {
-    case Verdict::balanced:
-      return "balanced: rows, gaps and schedule agree with the account.";
-    case Verdict::sealed:
-      return "sealed: it was not closed, or a tier hung; its rows agree with the account, and the known losses are "
-             "written down.";
-    case Verdict::recording:
-      return "recording: its rows agree with the last account; verify it again when it is closed.";
-    case Verdict::unsealed:
-      return "not sealed: it ended without closing, and its losses are not written down yet.";
-    default:
-      return "not balanced: see above.";
-  }
+  constexpr std::string_view texts[] = {
+      "balanced: rows, gaps and schedule agree with the account.",
+      "sealed: it was not closed, or a tier hung; its rows agree with the account, and the known losses are written "
+      "down.",
+      "recording: its rows agree with the last account; verify it again when it is closed.",
+      "not sealed: it ended without closing, and its losses are not written down yet.", "not balanced: see above."};
+  return std::string(detail::name_in(texts, verdict));
 }
 
 /// "1 outage of 6.3 s without a schedule: board on lab/board".

@@ -177,7 +177,8 @@ def check_paths(source):
 
 def check_errors(source, program):
     """Each id has a section, which says what to do and ends with a message; what people meet ends with an id."""
-    ids = re.findall(r'case Errc::\w+:\s+return "([a-z-]+)";', (source / "src/data/error.cpp").read_text())
+    table = re.search(r"\bids\[\] = \{(.*?)\};", (source / "src/data/error.cpp").read_text(), re.DOTALL)[1]
+    ids = re.findall(r'"([a-z-]+)"', table)
     enumerators = "|".join(name.replace("-", "_") for name in ids if "-" in name)
     for path in (source / "include").rglob("*.hpp"):
         for word in re.findall(rf"^ *//.*?(?<!::)\b({enumerators})\b", path.read_text(), re.M):

@@ -85,15 +85,7 @@ inline constexpr InertialWrite mpu6050_setting_up[] = {{.number = 0x6b, .value =
                                                        {.number = 0x1b, .by_angle = 1 << 3},
                                                        {.number = 0x1c, .by_acceleration = 1 << 3},
                                                        {.number = 0x23, .value = 0xf8}};
-inline constexpr InertialWrite mpu6500_setting_up[] = {{.number = 0x6b, .value = 0x80, .pause = 100ms},
-                                                       {.number = 0x6b, .value = 0x01, .pause = 35ms},
-                                                       {.number = 0x19, .by_rate = 1},
-                                                       {.number = 0x1a, .by_filter = 1},
-                                                       {.number = 0x1b, .by_angle = 1 << 3},
-                                                       {.number = 0x1c, .by_acceleration = 1 << 3},
-                                                       {.number = 0x1d, .by_filter = 1},
-                                                       {.number = 0x23, .value = 0xf8}};
-// An MPU-9250 also connects its magnetometer to the bus.
+// An MPU-9250 also connects its magnetometer to the bus, which an MPU-6500 does not have.
 inline constexpr InertialWrite mpu9250_setting_up[] = {{.number = 0x6b, .value = 0x80, .pause = 100ms},
                                                        {.number = 0x6b, .value = 0x01, .pause = 35ms},
                                                        {.number = 0x19, .by_rate = 1},
@@ -103,6 +95,7 @@ inline constexpr InertialWrite mpu9250_setting_up[] = {{.number = 0x6b, .value =
                                                        {.number = 0x1d, .by_filter = 1},
                                                        {.number = 0x23, .value = 0xf8},
                                                        {.number = 0x37, .value = 0x02}};
+inline constexpr std::span mpu6500_setting_up = std::span(mpu9250_setting_up).first<8>();
 inline constexpr InertialWrite mpu_sleeping[] = {{.number = 0x6b, .value = 0x40}};
 /// The factory's self-test values, with a tolerance of 14 % (register map 4.1): codes of 5 bits; those of acceleration
 /// are split over two registers.

@@ -397,20 +397,16 @@ Result<ControlClient> ControlClient::connect(const std::string& path) {
     return Error{Errc::bad_argument, "cannot connect", path, "the path is too long", "use a shorter one"};
   ControlClient client(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
   constexpr timeval patience{0, 500'000};  // for a full queue of other clients
-  ::setsockopt(client.fd_, SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof patience);
-  const bool is_connected = client.fd_ >= 0 && ::connect(client.fd_, generic(address), sizeof address) == 0;
+  ::setsockopt(client.fd_.fd(), SOL_SOCKET, SO_SNDTIMEO, &patience, sizeof patience);
+  const bool is_connected = client.fd_.fd() >= 0 && ::connect(client.fd_.fd(), generic(address), sizeof address) == 0;
   if (!is_connected && errno == EAGAIN) {
     return Error{Errc::busy, "cannot connect", path, "too many clients wait for a connection",
                  "check whether the process is stopped"};
   }
   if (!is_connected) return system_error(errno, "cannot connect", path);
-  if (!is_trusted(client.fd_) && ::geteuid() != 0)
+  if (!is_trusted(client.fd_.fd()) && ::geteuid() != 0)
     return Error{Errc::not_permitted, "cannot connect", path, "the instance belongs to another user", "ask that user"};
   return client;
-}
-
-ControlClient::~ControlClient() {
-  if (fd_ >= 0) ::close(fd_);
 }
 
 Result<std::string> ControlClient::ask(std::string_view line, Duration at_most) {
@@ -428,7 +424,7 @@ void ControlClient::send(std::string_view line) {
 }
 
 void ControlClient::send_more() {
-  const ssize_t size = ::send(fd_, out_.data(), out_.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  const ssize_t size = ::send(fd_.fd(), out_.data(), out_.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
   if (size > 0) out_.erase(0, static_cast<std::size_t>(size));
 }
 
@@ -441,7 +437,7 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
       return std::optional(std::move(answer));
     }
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(until - std::chrono::steady_clock::now()).count();
-    pollfd waits{fd_, static_cast<short>(out_.empty() ? POLLIN : POLLIN | POLLOUT), 0};
+    pollfd waits{fd_.fd(), static_cast<short>(out_.empty() ? POLLIN : POLLIN | POLLOUT), 0};
     if (::poll(&waits, 1, static_cast<int>(std::max<std::int64_t>(left, 0))) <= 0) {
       if (left <= 0) return std::optional<std::string>{};
       continue;
@@ -449,7 +445,7 @@ Result<std::optional<std::string>> ControlClient::receive(Duration at_most) {
     if ((waits.revents & POLLOUT) != 0) send_more();
     if ((waits.revents & (POLLIN | POLLHUP | POLLERR)) != 0) {
       char buffer[16 * 1024];
-      const ssize_t size = ::recv(fd_, buffer, sizeof buffer, MSG_DONTWAIT);
+      const ssize_t size = ::recv(fd_.fd(), buffer, sizeof buffer, MSG_DONTWAIT);
       if (size == 0 || (size < 0 && errno != EAGAIN && errno != EINTR)) {
         return Error{Errc::closed, "no answer", "instance",
                      "the instance has ended, or serves 8 later clients, which is the most",

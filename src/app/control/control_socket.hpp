@@ -18,6 +18,7 @@
 #include <string_view>
 #include <vector>
 
+#include "rtdata/detail/io/descriptor.hpp"
 #include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/loop/loop.hpp"
 
@@ -107,15 +108,6 @@ class ControlClient {
  public:
   /// Does not block. Errors: busy (too many clients connect), those of the system.
   static Result<ControlClient> connect(const std::string& path);
-  ControlClient(ControlClient&& other) noexcept
-      : fd_(std::exchange(other.fd_, -1)), out_(std::move(other.out_)), rest_(std::move(other.rest_)) {}
-  ControlClient& operator=(ControlClient&& other) noexcept {
-    std::swap(fd_, other.fd_);
-    std::swap(out_, other.out_);
-    std::swap(rest_, other.rest_);
-    return *this;
-  }
-  ~ControlClient();
   /// Sends a line and waits for its answer for `at_most`.
   Result<std::string> ask(std::string_view line, Duration at_most);
   /// Sends as much of a line as possible without blocking; `receive` sends the rest.
@@ -126,7 +118,7 @@ class ControlClient {
  private:
   explicit ControlClient(int fd) : fd_(fd) {}
   void send_more();
-  int fd_ = -1;
+  detail::Descriptor fd_;
   std::string out_;   // not sent yet
   std::string rest_;  // received, but not a complete answer yet
 };

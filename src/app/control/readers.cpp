@@ -17,6 +17,7 @@
 
 #include "app/control/past_reader.hpp"
 #include "app/control/request.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 #include "rtdata/detail/loop/lane.hpp"
 #include "rtdata/loop/gaps.hpp"
 #include "rtdata/loop/runtime.hpp"
@@ -38,13 +39,7 @@ constexpr std::size_t most_beside = std::size_t{256} << 10;
 /// The data shared by the loop and the thread, either of which may end later.
 struct Readers::Shared {
   struct Arrival {
-    Arrival() = default;
-    Arrival(const Arrival&) = delete;
-    Arrival& operator=(const Arrival&) = delete;
-    ~Arrival() {
-      if (fd >= 0) ::close(fd);
-    }
-    int fd = -1;
+    detail::Descriptor fd;
     StreamRequest request = {};
     std::string sink = {};                  // whose recording is read first; empty: none
     std::shared_ptr<PastReader> past = {};  // of that
@@ -84,12 +79,11 @@ struct Readers::Shared {
 
 struct Readers::Shared::Connection {
   Connection(Arrival& arrival, const std::string& current_run)
-      : fd(std::exchange(arrival.fd, -1)),
+      : descriptor(std::move(arrival.fd)),
         stream(std::move(arrival.request), current_run, arrival.sink),
         past(std::move(arrival.past)) {}
   Connection(const Connection&) = delete;
   Connection& operator=(const Connection&) = delete;
-  ~Connection() { ::close(fd); }
 
   /// Sends as much as the reader takes now.
   void send() {
@@ -130,7 +124,8 @@ struct Readers::Shared::Connection {
     return true;
   }
 
-  const int fd;
+  const detail::Descriptor descriptor;
+  const int fd = descriptor.fd();
   EventStream stream;
   bool is_full = false;  // until the next turn
   bool has_gone = false;
@@ -370,7 +365,7 @@ std::string Readers::refusal(const StreamRequest& request) const {
 
 void Readers::add(int fd, StreamRequest request) {
   auto arrival = std::make_unique<Shared::Arrival>();
-  arrival->fd = fd;
+  arrival->fd.set(fd);
   if (!thread_.joinable()) {
     std::promise<void> ended;
     ended_ = ended.get_future();

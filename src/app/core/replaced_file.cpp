@@ -1,4 +1,5 @@
 #include "app/core/replaced_file.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -36,11 +37,8 @@ Result<void> replace_file(const std::string& file, const std::string& text) {
     return system_error(failed, "cannot write", target, "");
   }
   const std::string folder = std::filesystem::path(target).parent_path().string();
-  const int held = ::open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  if (held >= 0) {
-    (void)::fsync(held);
-    ::close(held);
-  }
+  const detail::Descriptor held(::open(folder.empty() ? "." : folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+  if (held.fd() >= 0) (void)::fsync(held.fd());
   return {};
 }
 

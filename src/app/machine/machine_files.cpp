@@ -14,6 +14,7 @@
 #include <fstream>
 
 #include "io/enabling.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -85,7 +86,8 @@ Access access_to(const MachineFiles& files, const std::string& file, int mode) {
 
 Result<std::vector<std::int64_t>> times_of_sync(const std::string& folder, Duration duration) {
   std::string path = folder + "/rtdata-write-XXXXXX";
-  const int fd = ::mkostemp(path.data(), O_CLOEXEC);
+  const detail::Descriptor file(::mkostemp(path.data(), O_CLOEXEC));
+  const int fd = file.fd();
   if (fd < 0) return system_error(errno, "nothing can be written", folder);
   ::unlink(path.c_str());
   std::vector<std::int64_t> times;
@@ -95,14 +97,10 @@ Result<std::vector<std::int64_t>> times_of_sync(const std::string& folder, Durat
   for (auto began = end - duration; times.size() < 5 || began < end; began = std::chrono::steady_clock::now()) {
     const auto at = static_cast<off_t>(times.size() % blocks * block.size());
     errno = ENOSPC;  // of a write that is too short
-    if (::pwrite(fd, block.data(), block.size(), at) != static_cast<ssize_t>(block.size()) || ::fdatasync(fd) != 0) {
-      const Error error = system_error(errno, "nothing can be written", folder);
-      ::close(fd);
-      return error;
-    }
+    if (::pwrite(fd, block.data(), block.size(), at) != static_cast<ssize_t>(block.size()) || ::fdatasync(fd) != 0)
+      return system_error(errno, "nothing can be written", folder);
     times.push_back((std::chrono::steady_clock::now() - began).count());
   }
-  ::close(fd);
   return times;
 }
 

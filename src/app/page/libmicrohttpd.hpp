@@ -13,16 +13,5 @@
   of(MHD_run) of(MHD_set_connection_option) of(MHD_start_daemon) of(MHD_stop_daemon) of(MHD_suspend_connection)
 // clang-format on
 
-namespace rtdata {
-
-RTDATA_LIBMICROHTTPD(RTDATA_LOADED_FUNCTION)
-
-namespace detail {
-
-inline constexpr const char* libmicrohttpd_sonames[] = {"libmicrohttpd.so.12"};
-inline constexpr LoadedLibrary::Function libmicrohttpd_functions[] = {RTDATA_LIBMICROHTTPD(RTDATA_LOADED_NAME)};
-inline constinit LoadedLibrary libmicrohttpd{"the page", "libmicrohttpd", "libmicrohttpd12", libmicrohttpd_sonames,
-                                             libmicrohttpd_functions};
-
-}  // namespace detail
-}  // namespace rtdata
+RTDATA_LOADED_LIBRARY(libmicrohttpd, RTDATA_LIBMICROHTTPD, "the page", "libmicrohttpd", "libmicrohttpd12",
+                      "libmicrohttpd.so.12")

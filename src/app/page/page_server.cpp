@@ -102,10 +102,10 @@ Result<PageListener> PageListener::open(PageAddress address, TakenPort taken) {
     const detail::IpAddress to = detail::ip_address(address.host, port).value();
     PageListener made(::socket(to.storage.ss_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0), address);
     const int on = 1;
-    if (made.fd_ >= 0 && ::setsockopt(made.fd_, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) == 0 &&
-        ::bind(made.fd_, to.get(), to.size) == 0 && ::listen(made.fd_, 128) == 0) {
+    if (made.fd_.fd() >= 0 && ::setsockopt(made.fd_.fd(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) == 0 &&
+        ::bind(made.fd_.fd(), to.get(), to.size) == 0 && ::listen(made.fd_.fd(), 128) == 0) {
       detail::IpAddress bound{.size = sizeof bound.storage};
-      ::getsockname(made.fd_, reinterpret_cast<sockaddr*>(&bound.storage), &bound.size);
+      ::getsockname(made.fd_.fd(), reinterpret_cast<sockaddr*>(&bound.storage), &bound.size);
       made.address_.port = ntohs(bound.v4().sin_port);  // at the same place in both
       return made;
     }
@@ -119,15 +119,6 @@ Result<PageListener> PageListener::open(PageAddress address, TakenPort taken) {
     return why;
   }
 }
-
-PageListener::PageListener(PageListener&& other) noexcept
-    : fd_(std::exchange(other.fd_, -1)), address_(std::move(other.address_)) {}
-
-PageListener::~PageListener() {
-  if (fd_ >= 0) ::close(fd_);
-}
-
-int PageListener::release() noexcept { return std::exchange(fd_, -1); }
 
 // ---- the server
 

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "rtdata/config/page.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/timer.hpp"
 #include "rtdata/loop/watch.hpp"
@@ -47,16 +48,13 @@ class PageListener {
  public:
   enum class TakenPort { refuse, next };  ///< next: one of the 20 following ports
   static Result<PageListener> open(PageAddress address, TakenPort taken);
-  PageListener(PageListener&& other) noexcept;
-  PageListener& operator=(PageListener&&) = delete;
-  ~PageListener();
   const PageAddress& address() const noexcept { return address_; }
   /// The caller owns it from now on.
-  int release() noexcept;
+  int release() noexcept { return fd_.release(); }
 
  private:
   PageListener(int fd, PageAddress address) : fd_(fd), address_(std::move(address)) {}
-  int fd_;
+  detail::Descriptor fd_;
   PageAddress address_;
 };
 

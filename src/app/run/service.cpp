@@ -45,10 +45,6 @@ ServiceManager::ServiceManager() {
   }
 }
 
-ServiceManager::~ServiceManager() {
-  if (fd_ >= 0) ::close(fd_);
-}
-
 Result<void> ServiceManager::tell(std::string_view state) {
   if (address_.empty()) return {};
   const auto failed = [this](int number) {
@@ -63,9 +59,9 @@ Result<void> ServiceManager::tell(std::string_view state) {
   const auto length = static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + address_.size() +
                                              (address_.front() == '/' ? 1 : 0));
   if (address_.size() == sizeof address.sun_path && address_.front() == '/') return failed(ENAMETOOLONG);
-  if (fd_ < 0) fd_ = ::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0);
-  if (fd_ < 0) return failed(errno);
-  const ssize_t sent = ::sendto(fd_, state.data(), state.size(), MSG_NOSIGNAL | MSG_DONTWAIT,
+  if (fd_.fd() < 0) fd_.set(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
+  if (fd_.fd() < 0) return failed(errno);
+  const ssize_t sent = ::sendto(fd_.fd(), state.data(), state.size(), MSG_NOSIGNAL | MSG_DONTWAIT,
                                 reinterpret_cast<const sockaddr*>(&address), length);
   if (sent < 0) return failed(errno);
   return {};

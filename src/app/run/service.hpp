@@ -6,6 +6,7 @@
 #include <string>
 #include <string_view>
 
+#include "rtdata/detail/io/descriptor.hpp"
 #include "rtdata/loop/loop.hpp"
 #include "rtdata/loop/tier.hpp"
 #include "rtdata/loop/timer.hpp"
@@ -18,7 +19,6 @@ class ServiceManager {
   ServiceManager();
   ServiceManager(const ServiceManager&) = delete;
   ServiceManager& operator=(const ServiceManager&) = delete;
-  ~ServiceManager();
 
   /// Sends one or several lines of "KEY=value". Never waits; does nothing without a manager. Errors: the operating
   /// system's.
@@ -28,7 +28,7 @@ class ServiceManager {
 
  private:
   std::string address_;  // empty: none; its first byte is 0 for an abstract one
-  int fd_ = -1;
+  detail::Descriptor fd_;
   Duration watchdog_{0};
 };
 

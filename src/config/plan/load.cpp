@@ -12,18 +12,12 @@
 #include "data/lower_case.hpp"
 #include "data/utf8.hpp"
 #include "rtdata/config/format.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 
 namespace rtdata {
 namespace {
 
 constexpr std::size_t largest_file = std::size_t{64} << 20;
-
-struct Descriptor {
-  int fd = -1;
-  ~Descriptor() {
-    if (fd >= 0) ::close(fd);
-  }
-};
 
 ConfigPlace whole(const std::string& file) {
   ConfigPlace place;
@@ -38,13 +32,13 @@ bool read_file(const std::string& file, std::string& text, Problems& problems) {
                  "cannot read the configuration: " + std::generic_category().message(error));
     return false;
   };
-  const Descriptor descriptor{::open(file.c_str(), O_RDONLY | O_CLOEXEC)};
-  if (descriptor.fd < 0) return fail(errno);
+  const detail::Descriptor descriptor(::open(file.c_str(), O_RDONLY | O_CLOEXEC));
+  if (descriptor.fd() < 0) return fail(errno);
   struct stat status {};
-  if (::fstat(descriptor.fd, &status) == 0 && S_ISDIR(status.st_mode)) return fail(EISDIR);
+  if (::fstat(descriptor.fd(), &status) == 0 && S_ISDIR(status.st_mode)) return fail(EISDIR);
   std::array<char, 65536> buffer{};
   for (;;) {
-    const ssize_t count = ::read(descriptor.fd, buffer.data(), buffer.size());
+    const ssize_t count = ::read(descriptor.fd(), buffer.data(), buffer.size());
     if (count < 0 && errno == EINTR) continue;
     if (count < 0) return fail(errno);
     if (count == 0) return true;

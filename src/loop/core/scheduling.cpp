@@ -5,6 +5,8 @@
 #include <cerrno>
 #include <string>
 
+#include "data/name_in.hpp"
+
 namespace rtdata {
 namespace {
 
@@ -23,15 +25,8 @@ int kernel_policy(SchedulingPolicy policy) noexcept {
 }  // namespace
 
 std::string_view name_of(SchedulingPolicy policy) noexcept {
-  switch (policy) {
-    case SchedulingPolicy::other:
-      return "other";
-    case SchedulingPolicy::fifo:
-      return "fifo";
-    case SchedulingPolicy::round_robin:
-      return "rr";
-  }
-  return "unknown";
+  constexpr std::string_view names[] = {"other", "fifo", "rr"};
+  return detail::name_in(names, policy);
 }
 
 PriorityRange priority_range(SchedulingPolicy policy) noexcept {

@@ -1,5 +1,6 @@
 #include "rtdata/loop/ledger.hpp"
 
+#include "data/name_in.hpp"
 #include "data/rounded_time.hpp"
 
 namespace rtdata {
@@ -22,31 +23,13 @@ std::string to_string(const Outages& outages) {
 }
 
 std::string_view name_of(Gap::Kind kind) noexcept {
-  switch (kind) {
-    case Gap::Kind::missed:
-      return "missed";
-    case Gap::Kind::failed:
-      return "failed";
-    case Gap::Kind::disconnected:
-      return "disconnected";
-    case Gap::Kind::silent:
-      return "silent";
-    case Gap::Kind::joined:
-      return "joined";
-  }
-  return "?";
+  constexpr std::string_view names[] = {"missed", "failed", "disconnected", "silent", "joined"};
+  return detail::name_in(names, kind, "?");
 }
 
 std::string_view name_of(DropReason reason) noexcept {
-  switch (reason) {
-    case DropReason::queue_full_newest:
-      return "queue full, newest";
-    case DropReason::queue_full_oldest:
-      return "queue full, oldest";
-    case DropReason::refused:
-      return "refused";
-  }
-  return "unknown";
+  constexpr std::string_view names[] = {"queue full, newest", "queue full, oldest", "refused"};
+  return detail::name_in(names, reason);
 }
 
 }  // namespace rtdata

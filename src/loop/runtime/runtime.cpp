@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "data/name_in.hpp"
 #include "loop/core/loop_core.hpp"
 #include "loop/runtime/runtime_core.hpp"
 #include "loop/tier/bridge.hpp"
@@ -14,15 +15,8 @@
 namespace rtdata {
 
 std::string_view name_of(Health health) noexcept {
-  switch (health) {
-    case Health::ok:
-      return "ok";
-    case Health::degraded:
-      return "degraded";
-    case Health::faulted:
-      return "faulted";
-  }
-  return "unknown";
+  constexpr std::string_view names[] = {"ok", "degraded", "faulted"};
+  return detail::name_in(names, health);
 }
 
 Runtime::Runtime() : Runtime(Config{}) {}

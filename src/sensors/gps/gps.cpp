@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "data/listed.hpp"
 #include "data/setting_mistake.hpp"
 #include "io/enabling.hpp"
 #include "net/tcp_stream.hpp"
@@ -27,12 +28,6 @@ constexpr Duration connect_limit = std::chrono::seconds{5};
 constexpr Duration start_limit = std::chrono::seconds{2};
 constexpr std::string_view watch_command = "?WATCH={\"enable\":true,\"json\":true};\n";
 constexpr std::string_view sign_of_life_command = "?DEVICES;\n";
-
-std::string joined(const std::vector<std::string>& names) {
-  std::string text;
-  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
-  return text;
-}
 
 }  // namespace
 
@@ -217,7 +212,7 @@ class GpsNode final : public StreamNode {
       return {Errc::not_found, "there is no receiver", server(), "gpsd has none",
               "plug it in, and add its device to /etc/default/gpsd, or with `gpsdctl add`"};
     }
-    return {Errc::not_found, "there is no receiver " + config_.device, server(), "gpsd has " + joined(devices_),
+    return {Errc::not_found, "there is no receiver " + config_.device, server(), "gpsd has " + listed(devices_),
             "set `device` to one of these"};
   }
 
@@ -251,7 +246,7 @@ class GpsNode final : public StreamNode {
     }
     if (names.size() < 2) return;
     is_several_ = true;
-    degrade({Errc::bad_configuration, "several receivers", server(), "gpsd has " + joined(names),
+    degrade({Errc::bad_configuration, "several receivers", server(), "gpsd has " + listed(names),
              "make a sensor for each, with its `device`: now the reports of all of them come mixed"});
   }
 
@@ -312,7 +307,7 @@ class GpsNode final : public StreamNode {
     if (config_.device.empty() ? devices_.empty()
                                : std::find(devices_.begin(), devices_.end(), config_.device) == devices_.end())
       return no_receiver();
-    return {Errc::timed_out, "nothing comes", config_.device.empty() ? joined(devices_) : config_.device,
+    return {Errc::timed_out, "nothing comes", config_.device.empty() ? listed(devices_) : config_.device,
             "gpsd has reported no fix for " + to_string(config_.silence),
             "check the receiver with `gpsmon`; `silence` is how long it may be silent"};
   }

@@ -15,6 +15,7 @@
 
 #include "data/first_line.hpp"
 #include "data/setting_mistake.hpp"
+#include "rtdata/detail/io/descriptor.hpp"
 #include "sensors/core/sysfs_file.hpp"
 #include "sensors/host/host_text.hpp"
 #include "sensors/host/hwmon.hpp"
@@ -31,26 +32,19 @@ constexpr const char* not_now = "see `dmesg`: the kernel cannot read the value n
 class ProcFile {
  public:
   explicit ProcFile(std::string path) : path_(std::move(path)), buffer_(4096) {}
-  ProcFile(ProcFile&& other) noexcept
-      : path_(std::move(other.path_)), fd_(std::exchange(other.fd_, -1)), buffer_(std::move(other.buffer_)) {}
-  ProcFile& operator=(ProcFile&&) = delete;
-  ~ProcFile() { close(); }
 
   Result<void> open() {
-    fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK);  // below `root` there may be a pipe
-    if (fd_ < 0) return system_error(errno, cannot_read, path_, not_here);
+    fd_.set(::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NOCTTY | O_NONBLOCK));  // below `root` there may be a pipe
+    if (fd_.fd() < 0) return system_error(errno, cannot_read, path_, not_here);
     return {};
   }
-  void close() noexcept {
-    if (fd_ >= 0) ::close(fd_);
-    fd_ = -1;
-  }
+  void close() noexcept { fd_.set(-1); }
   /// Valid until the next read. A text longer than a megabyte is an error.
   Result<std::string_view> read() {
     constexpr std::size_t most = 1 << 20;
     std::size_t size = 0;
     for (;;) {
-      const ssize_t got = ::pread(fd_, buffer_.data() + size, buffer_.size() - size, static_cast<off_t>(size));
+      const ssize_t got = ::pread(fd_.fd(), buffer_.data() + size, buffer_.size() - size, static_cast<off_t>(size));
       if (got < 0 && errno == EINTR) continue;
       if (got < 0) return system_error(errno, cannot_read, path_, not_now);
       size += static_cast<std::size_t>(got);
@@ -64,7 +58,7 @@ class ProcFile {
 
  private:
   std::string path_;
-  int fd_ = -1;
+  detail::Descriptor fd_;
   std::vector<char> buffer_;
 };
 

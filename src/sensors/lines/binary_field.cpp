@@ -7,6 +7,7 @@
 #include <iterator>
 
 #include "data/field_layout.hpp"
+#include "data/load.hpp"
 #include "data/number_text.hpp"
 
 namespace rtdata::detail {
@@ -31,28 +32,7 @@ double number_at(const char* from) noexcept {
 
 template <bool is_big>
 auto number_of_kind(Kind kind) noexcept {
-  switch (kind) {
-    case Kind::i8:
-      return &number_at<std::int8_t, is_big>;
-    case Kind::i16:
-      return &number_at<std::int16_t, is_big>;
-    case Kind::i32:
-      return &number_at<std::int32_t, is_big>;
-    case Kind::i64:
-      return &number_at<std::int64_t, is_big>;
-    case Kind::u16:
-      return &number_at<std::uint16_t, is_big>;
-    case Kind::u32:
-      return &number_at<std::uint32_t, is_big>;
-    case Kind::u64:
-      return &number_at<std::uint64_t, is_big>;
-    case Kind::f32:
-      return &number_at<float, is_big>;
-    case Kind::f64:
-      return &number_at<double, is_big>;
-    default:
-      return &number_at<std::uint8_t, is_big>;
-  }
+  return for_number(kind, [](auto zero) { return &number_at<decltype(zero), is_big>; });
 }
 
 /// True if a value of this kind with so many bits can be the number.

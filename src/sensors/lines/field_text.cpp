@@ -22,10 +22,6 @@ constexpr const char* wrong_groups = "has a `thousands` character that is not be
       {Errc::bad_argument, "cannot use these fields", "field " + field.name, std::move(why), std::move(advice)});
 }
 
-bool is_number_kind(Kind kind) noexcept {
-  return kind != Kind::text && kind != Kind::character && kind != Kind::boolean;
-}
-
 }  // namespace
 
 FieldText::FieldText(const LineField& field)

@@ -14,15 +14,4 @@
   of(pcre2_set_callout_8) of(pcre2_set_heap_limit_8) of(pcre2_set_match_limit_8)
 // clang-format on
 
-namespace rtdata {
-
-RTDATA_LIBPCRE2(RTDATA_LOADED_FUNCTION)
-
-namespace detail {
-
-inline constexpr const char* libpcre2_sonames[] = {"libpcre2-8.so.0"};
-inline constexpr LoadedLibrary::Function libpcre2_functions[] = {RTDATA_LIBPCRE2(RTDATA_LOADED_NAME)};
-inline constinit LoadedLibrary libpcre2{"`pattern`", "PCRE2", "libpcre2-8-0", libpcre2_sonames, libpcre2_functions};
-
-}  // namespace detail
-}  // namespace rtdata
+RTDATA_LOADED_LIBRARY(libpcre2, RTDATA_LIBPCRE2, "`pattern`", "PCRE2", "libpcre2-8-0", "libpcre2-8.so.0")

@@ -3,11 +3,13 @@
 #include <algorithm>
 #include <charconv>
 #include <cstring>
+#include <type_traits>
 #include <utility>
 
 #include "data/character.hpp"
 #include "data/field_layout.hpp"
 #include "data/hex_bytes.hpp"
+#include "data/load.hpp"
 #include "data/number_text.hpp"
 #include "sensors/core/sysfs_file.hpp"
 #include "sensors/lines/line_config.hpp"
@@ -15,38 +17,14 @@
 namespace rtdata::detail {
 namespace {
 
-template <class T>
-std::errc parse_into(std::string_view text, std::byte* to, const FieldScale& scale) noexcept {
-  T number{};
-  if (const std::errc status = read_number(text, number); status != std::errc{}) return status;
-  if constexpr (std::is_floating_point_v<T>) number = static_cast<T>(scale(static_cast<double>(number)));
-  std::memcpy(to, &number, sizeof number);
-  return {};
-}
-
 std::errc parse_number(Kind kind, std::string_view text, std::byte* to, const FieldScale& scale) noexcept {
-  switch (kind) {
-    case Kind::i8:
-      return parse_into<std::int8_t>(text, to, scale);
-    case Kind::i16:
-      return parse_into<std::int16_t>(text, to, scale);
-    case Kind::i32:
-      return parse_into<std::int32_t>(text, to, scale);
-    case Kind::i64:
-      return parse_into<std::int64_t>(text, to, scale);
-    case Kind::u8:
-      return parse_into<std::uint8_t>(text, to, scale);
-    case Kind::u16:
-      return parse_into<std::uint16_t>(text, to, scale);
-    case Kind::u32:
-      return parse_into<std::uint32_t>(text, to, scale);
-    case Kind::u64:
-      return parse_into<std::uint64_t>(text, to, scale);
-    case Kind::f32:
-      return parse_into<float>(text, to, scale);
-    default:
-      return parse_into<double>(text, to, scale);
-  }
+  return for_number(kind, [&](auto number) {
+    if (const std::errc status = read_number(text, number); status != std::errc{}) return status;
+    if constexpr (std::is_floating_point_v<decltype(number)>)
+      number = static_cast<decltype(number)>(scale(static_cast<double>(number)));
+    std::memcpy(to, &number, sizeof number);
+    return std::errc{};
+  });
 }
 
 }  // namespace

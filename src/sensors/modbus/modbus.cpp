@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "data/field_layout.hpp"
+#include "data/load.hpp"
 #include "rtdata/data/config_item.hpp"
 #include "rtdata/data/text.hpp"
 
@@ -211,24 +212,10 @@ std::string text_of(std::span<const std::uint16_t> words, WordOrder order) {
 
 /// The number with these bits, of this kind.
 double number_of(Kind kind, std::uint64_t bits) {
-  switch (kind) {
-    case Kind::i16:
-      return static_cast<std::int16_t>(bits & 0xffff);
-    case Kind::u16:
-      return static_cast<std::uint16_t>(bits & 0xffff);
-    case Kind::u32:
-      return static_cast<std::uint32_t>(bits & 0xffffffff);
-    case Kind::i32:
-      return static_cast<std::int32_t>(bits & 0xffffffff);
-    case Kind::i64:
-      return static_cast<double>(static_cast<std::int64_t>(bits));
-    case Kind::f32:
-      return static_cast<double>(std::bit_cast<float>(static_cast<std::uint32_t>(bits & 0xffffffff)));
-    case Kind::f64:
-      return std::bit_cast<double>(bits);
-    default:
-      return static_cast<double>(bits);
-  }
+  if (kind == Kind::f64) return std::bit_cast<double>(bits);
+  if (kind == Kind::f32) return static_cast<double>(std::bit_cast<float>(static_cast<std::uint32_t>(bits)));
+  return detail::for_integer(kind,
+                             [bits](auto zero) { return static_cast<double>(static_cast<decltype(zero)>(bits)); });
 }
 
 constexpr std::uint16_t no_exponent = 0x8000;

@@ -68,3 +68,17 @@ bool add_not_installed(const Result<void>& loaded, const ConfigItem& item, Probl
 /// The object of a function, and its line in the list of its library.
 #define RTDATA_LOADED_FUNCTION(function) inline constinit detail::LoadedFunction<decltype(&::function)> function;
 #define RTDATA_LOADED_NAME(function) {#function, &rtdata::function.address},
+
+/// Outside namespaces: the objects of `functions`, a list as RTDATA_LIBZ, and the library rtdata::detail::`name`. The
+/// others are as of LoadedLibrary, the sonames last.
+// clang-format off
+#define RTDATA_LOADED_LIBRARY(name, functions, part, title, package, ...)                              \
+  namespace rtdata {                                                                                   \
+  functions(RTDATA_LOADED_FUNCTION)                                                                    \
+  namespace detail {                                                                                   \
+  inline constexpr const char* name##_sonames[] = {__VA_ARGS__};                                       \
+  inline constexpr LoadedLibrary::Function name##_functions[] = {functions(RTDATA_LOADED_NAME)};       \
+  inline constinit LoadedLibrary name{part, title, package, name##_sonames, name##_functions};         \
+  }                                                                                                    \
+  }
+// clang-format on

@@ -1,7 +1,5 @@
-// A file descriptor that is closed with its owner.
+/// A file descriptor that is closed with its owner. Move-only.
 #pragma once
-
-#include <unistd.h>
 
 #include <utility>
 
@@ -11,13 +9,14 @@ class Descriptor {
  public:
   Descriptor() = default;
   explicit Descriptor(int fd) noexcept : fd_(fd) {}
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
+  Descriptor(Descriptor&& other) noexcept : fd_(other.release()) {}
+  Descriptor& operator=(Descriptor&& other) noexcept {
+    set(other.release());
+    return *this;
+  }
   ~Descriptor() { set(-1); }
   /// Closes the previous descriptor.
-  void set(int fd) noexcept {
-    if (const int before = std::exchange(fd_, fd); before >= 0) ::close(before);
-  }
+  void set(int fd) noexcept;
   int fd() const noexcept { return fd_; }
   /// The caller closes it.
   int release() noexcept { return std::exchange(fd_, -1); }
