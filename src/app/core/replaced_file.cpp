@@ -1,5 +1,4 @@
 #include "app/core/replaced_file.hpp"
-#include "rtdata/detail/io/descriptor.hpp"
 
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -8,6 +7,8 @@
 #include <cerrno>
 #include <cstdlib>
 #include <filesystem>
+
+#include "rtdata/detail/io/descriptor.hpp"
 
 namespace rtdata::app {
 
