@@ -1,5 +1,5 @@
-/// What a DriverSensor is made of: the device that reads a driver's chip on the lane of its bus, and what a class that is
-/// no driver is told. Included by rtdata/sensors/driver.hpp, which has the rules.
+/// What a DriverSensor is made of: the device that reads a driver's chip on the lane of its bus, and what a class that
+/// is no driver is told. Included by rtdata/sensors/driver.hpp, which has the rules.
 #pragma once
 
 #include <algorithm>
