@@ -76,4 +76,8 @@ TransferCounts Bus::counts_of(const std::string& place) const {
 
 void BusDevice::wait(Duration duration) const noexcept { detail::lane_sleep(duration); }
 
+void BusDevice::note_request() noexcept {
+  if (!asked_) asked_ = detail::lane_now();
+}
+
 }  // namespace rtdata

@@ -264,6 +264,7 @@ Result<void> ModbusDevice::ask_by_tcp(const Request& request, Take&& take) {
       Core::Connection& connection = **use;
       is_new = !std::exchange(connection.was_asked, true);
       if (is_new && core_->config.connect_delay > Duration{0}) wait(core_->config.connect_delay);
+      note_request();
       number = connection.tcp.ask(connection.fd, unit_, request.bytes(), core_->config.answer_timeout);
       if (number == 0 && !request.is_answered_by(connection.tcp.answer())) number = EMBBADDATA;
       if (number == 0) take(connection.tcp.answer().data());

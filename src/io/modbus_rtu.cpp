@@ -105,7 +105,7 @@ ModbusRtu::ModbusRtu(const std::string& bus, std::shared_ptr<SerialTransport> tr
       reconnect_(std::move(reconnect)),
       line_(bus, std::move(transport), config.answer_timeout, config.timeout, config.echo) {}
 
-Result<int> ModbusRtu::ask(const BusDevice& device, unsigned number, RtuBytes request, std::size_t size,
+Result<int> ModbusRtu::ask(BusDevice& device, unsigned number, RtuBytes request, std::size_t size,
                            Answer& answer) {
   AskedLine::Partner& unit = units_[number];
   Result<std::size_t> settled = line_.settle(unit, silence_);
@@ -125,6 +125,7 @@ Result<int> ModbusRtu::ask(const BusDevice& device, unsigned number, RtuBytes re
     wanted.begin.insert(wanted.begin.end(), request.begin(), request.begin() + static_cast<std::ptrdiff_t>(size));
   }
 
+  device.note_request();
   if (auto written = line_.write(unit, wanted.asked); !written) return std::move(written).error();
   const MonotonicTime until = lane_now() + answer_timeout_;
   Bytes came;

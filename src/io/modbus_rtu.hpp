@@ -38,7 +38,7 @@ class ModbusRtu {
   /// `request`: the function code and its data; `size`: of a good answer. Returns 0 or an errno like libmodbus, also
   /// for the device's exceptions. After other results a late answer is possible. Errors: those of AskedLine; closed
   /// (`device` was given up while it waited).
-  Result<int> ask(const BusDevice& device, unsigned unit, std::span<const std::uint8_t> request, std::size_t size,
+  Result<int> ask(BusDevice& device, unsigned unit, std::span<const std::uint8_t> request, std::size_t size,
                   Answer& answer);
   Result<void> open() { return line_.open(); }
 

@@ -127,6 +127,7 @@ void SerialDevice::distrust() {
 
 Result<void> SerialDevice::write(std::span<const std::uint8_t> bytes) {
   if (auto wanted = check_wanted(); !wanted) return wanted;
+  note_request();
   const MonotonicTime began = detail::lane_now();
   Result<void> done = core_->line.write(core_->all, bytes);
   count(detail::lane_now() - began, static_cast<bool>(done));

@@ -60,6 +60,7 @@ class ScriptedLine final : public SerialTransport {
 struct Stage {
   std::shared_ptr<ScriptedLine> line = std::make_shared<ScriptedLine>();
   Loop loop{Loop::Manual{}};
+  const Duration offset = loop.time().time_since_epoch() - loop.now().time_since_epoch();
   std::vector<std::string> errors;
   std::vector<std::pair<std::string, double>> values;
   Subscription heard;
@@ -75,6 +76,7 @@ struct Stage {
     return std::any_of(errors.begin(), errors.end(),
                        [&](const std::string& one) { return one.find(part) != std::string::npos; });
   }
+  Time time_on_lane() const { return Time{detail::lane_now().time_since_epoch() + offset}; }
   std::size_t count_of(const std::string& name, double value) const {
     return static_cast<std::size_t>(std::count(values.begin(), values.end(), std::pair(name, value)));
   }
@@ -314,7 +316,7 @@ TEST_SUITE("sensors") {
     CHECK(stage.loop.runtime().balances());
   }
 
-  TEST_CASE("US-42 queries of devices with any habit publish the answer to what was asked, or nothing") {
+  TEST_CASE("US-42 queries of devices with any habit publish the answer to what was asked, and when, or nothing") {
     const auto [from, count] = seeds();
     std::size_t published = 0;
     for (unsigned seed = from; seed < from + count; ++seed) {
@@ -323,10 +325,12 @@ TEST_SUITE("sensors") {
       Stage stage;
       const Duration answer_timeout = std::array<Duration, 3>{50ms, 200ms, 500ms}[random() % 3];
       std::map<std::string, unsigned> asked;
+      std::map<std::string, Time> asked_at;
       unsigned number = 0;
       stage.line->on_request = [&](const std::string& request) {
         const unsigned kind = request[0] == 'A' ? 1 : 2;
         asked[request.substr(0, 1)] = ++number;
+        asked_at[request.substr(0, 1)] = stage.time_on_lane();
         misbehave(random, *stage.line, answer_timeout, std::to_string(kind * 100000 + number) + "\n", request,
                   random() % 2 == 0 ? "BUSY\n" : "\n", random() % 2 == 0 ? "\xff" : "x");
       };
@@ -341,7 +345,8 @@ TEST_SUITE("sensors") {
         if (event.topic().starts_with("$")) return;
         const unsigned kind = event.topic() == "A" ? 1 : 2;
         const double value = std::get<double>(event.value("v").or_throw());
-        if (value != kind * 100000 + asked[std::string(event.topic())]) ++wrong;
+        const std::string topic(event.topic());
+        if (value != kind * 100000 + asked[topic] || event.time() != asked_at[topic]) ++wrong;
         ++published;
       });
       for (int i = 0; i < 6000; ++i) stage.loop.advance(10ms);
@@ -463,7 +468,7 @@ TEST_SUITE("sensors") {
     CHECK(a.counts().unreadable + b.counts().unreadable >= 6);
   }
 
-  TEST_CASE("US-42 Modbus RTU: units with any habit publish the answer to what was asked, or nothing") {
+  TEST_CASE("US-42 Modbus RTU: units with any habit publish the answer to what was asked, and when, or nothing") {
     const auto [from, count] = seeds();
     std::size_t published = 0;
     for (unsigned seed = from; seed < from + count; ++seed) {
@@ -472,10 +477,12 @@ TEST_SUITE("sensors") {
       Stage stage;
       const Duration answer_timeout = std::array<Duration, 3>{50ms, 200ms, 500ms}[random() % 3];
       std::map<unsigned, unsigned> asked;
+      std::map<unsigned, Time> asked_at;
       unsigned number = 0;
       stage.line->on_request = [&](const std::string& request) {
         const unsigned what = unit_of(request) * 256 + register_of(request);
         asked[what] = ++number;
+        asked_at[what] = stage.time_on_lane();
         misbehave(random, *stage.line, answer_timeout, answer_of(unit_of(request), {what, number}), request,
                   answer_of(7, {1, 2}), std::string(1, static_cast<char>(random())));
       };
@@ -491,7 +498,7 @@ TEST_SUITE("sensors") {
         if (event.topic().starts_with("$")) return;
         const auto what = static_cast<unsigned>(std::stoul(std::string(event.topic())));
         const double value = std::get<double>(event.value("v").or_throw()) / 2;
-        if (value != what * 65536. + asked[what]) ++wrong;
+        if (value != what * 65536. + asked[what] || event.time() != asked_at[what]) ++wrong;
         ++published;
       });
       for (int i = 0; i < 6000; ++i) stage.loop.advance(10ms);

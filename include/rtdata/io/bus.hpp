@@ -31,6 +31,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -115,6 +116,13 @@ class BusDevice {
   bool is_abandoned() const noexcept { return is_abandoned_->load(std::memory_order_relaxed); }
   /// Blocks for this duration, as chips need after a reset. On a manual loop, virtual time passes.
   void wait(Duration duration) const noexcept;
+  /// Called by the device before it sends a request, if its bus may have to wait first, such as for the late answer to
+  /// an earlier request: the reading has the time of the first request after `begin_reading`.
+  void note_request() noexcept;
+  /// Called at the start of each reading, and by a driver that has set up its device during a reading.
+  void begin_reading() noexcept { asked_ = {}; }
+  /// When the first request of the reading was sent. Empty: not noted, so that the reading began with its job.
+  std::optional<MonotonicTime> asked() const noexcept { return asked_; }
 
  protected:
   /// Counts a finished transfer.
@@ -127,6 +135,7 @@ class BusDevice {
 
  private:
   std::shared_ptr<TransferCounter> counter_;
+  std::optional<MonotonicTime> asked_;
   std::shared_ptr<std::atomic<bool>> is_abandoned_ = std::make_shared<std::atomic<bool>>(false);
 };
 

@@ -163,6 +163,7 @@ Result<void> Query::open_if_lost(SerialDevice& line) {
 
 Reading<DescribedValue> Query::read(SerialDevice& line) {
   if (auto opened = open_if_lost(line); !opened) return std::move(opened).error();
+  line.begin_reading();
   if (auto prepared = prepare(line); !prepared) return std::move(prepared).error();
   return decoding_->cutter ? read_frame(line) : read_line(line);
 }

@@ -146,9 +146,11 @@ class DriverDevice final : public detail::LaneDevice {
           result = guarded("open() of the driver threw", [this] { return session->open(); });
           if (!result) return;
         }
+        session->device.begin_reading();
         if constexpr (has_start) return start();
       }
       result = guarded("read() of the driver threw", [this] { return read(); });
+      if (const auto asked = session->device.asked()) begin_at(*asked);
       if (samples.is_doubtful_ || (!result && result.error().code == Errc::bad_data)) session->distrust();
       if constexpr (has_start && requires(const D& driver) { driver.goes_on(); }) {
         if (result && session->driver.goes_on()) return start();

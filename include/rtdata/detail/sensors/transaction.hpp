@@ -27,7 +27,7 @@ class Transaction : public LaneJob {
  public:
   void run() noexcept final;
   void done(Outcome outcome) final;
-  /// When it first ran after its tick. Valid while it runs and afterwards.
+  /// When it first ran after its tick, or what `begin_at` says. Valid while it runs and afterwards.
   MonotonicTime began() const noexcept { return began_; }
 
   /// Accesses the device. On the lane's thread.
@@ -42,6 +42,10 @@ class Transaction : public LaneJob {
   virtual void given_up() noexcept {}
   /// Closes it, unless it hangs in `transact`.
   void close_unless_hung() noexcept;
+
+ protected:
+  /// The device was asked later, after a wait: its sample has that time, by which it may be late. On the lane's thread.
+  void begin_at(MonotonicTime asked) noexcept { began_ = asked; }
 
  private:
   friend class SensorNode;
