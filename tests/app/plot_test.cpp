@@ -159,6 +159,9 @@ lost of room/climate in run 1: missed 4, failed 2
       CHECK_MESSAGE(has(twice.out, " 20 lost\n"), twice.out);
       CHECK(has(twice.out, "of room, 20 lost\n"));
       CHECK(has(twice.out, "twice is made of room: what these lost is missing in it, too\n"));
+      std::ostringstream page, err;
+      CHECK(rtdata::app::report({.database = one, .file = "-"}, page, err) == 0);
+      CHECK(has(page.str(), " of what is there</span>"));
       // The place is empty: no line leads across it.
       const std::vector<std::string> lines = lines_of(twice.out);
       const auto marks = std::find_if(lines.begin(), lines.end(), [](const std::string& line) {

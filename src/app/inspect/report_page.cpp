@@ -294,6 +294,8 @@ class Page {
     const double percent = std::floor(share * 1000) / 10;
     std::array<char, 40> part{};
     std::snprintf(part.data(), part.size(), percent < 0.1 ? "less than 0.1 %%" : "%.1f %%", percent);
+    // How many values of it would have come of what its sources lost is not known.
+    if (share >= 1 && curve.has_loss && !account->made_of.empty()) return "of what is there";
     const std::uint64_t held_back = account->sensor.filtered;
     const bool is_rate_changed = has_several_rates(curve);
     if (held_back == 0 && !is_rate_changed) return "over " + std::string(share >= 1 ? "all" : part.data()) + of;
