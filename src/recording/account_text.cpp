@@ -28,13 +28,21 @@ std::string first_names(const std::vector<std::string>& names, std::size_t most)
 
 }  // namespace
 
+std::uint64_t failed_unreadable(const SensorCounts& of) noexcept {
+  return of.has_schedule && of.is_one_a_read ? std::min(of.failed, of.unreadable) : 0;
+}
+
+std::string unreadable_text(std::uint64_t failed_unreadable) {
+  return std::to_string(failed_unreadable) + " of them unreadable";
+}
+
 std::string loss_text(const TopicLoss& loss) {
   std::vector<std::string> parts;
   if (loss.samples() != 0) {
     parts.push_back(counted(loss.samples(), "sample"));
     parts.back() += " (" +
                     parts_of({{"lost by the source", loss.by_source},
-                              {"unreadable", loss.unreadable},
+                              {"unreadable", loss.unreadable - loss.failed_unreadable},
                               {"dropped by the queue", loss.dropped_newest + loss.dropped_oldest},
                               {"refused on storing", loss.refused},
                               {"not saved", loss.not_saved}}) +
@@ -42,7 +50,8 @@ std::string loss_text(const TopicLoss& loss) {
   }
   if (loss.ticks() != 0)
     parts.push_back(counted(loss.ticks(), "tick") + " (" +
-                    parts_of({{"missed", loss.missed}, {"failed", loss.failed}}) + ")");
+                    parts_of({{"missed", loss.missed}, {"failed", loss.failed}}) +
+                    (loss.failed_unreadable != 0 ? ", " + unreadable_text(loss.failed_unreadable) : "") + ")");
   if (loss.outages.number != 0)
     parts.push_back(to_string(loss.outages) + " (the number of missing samples is not known)");
   std::string text;

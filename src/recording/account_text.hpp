@@ -8,6 +8,11 @@
 
 namespace rtdata::detail {
 
+/// The part of failed whose sample is in unreadable, too. 0 where a read may bring several samples.
+std::uint64_t failed_unreadable(const SensorCounts& of) noexcept;
+/// "3 of them unreadable", behind the number of failed ticks.
+std::string unreadable_text(std::uint64_t failed_unreadable);
+
 /// "12 samples of room/climate (lost by the source 10, dropped by the queue 2) and 3 ticks (missed 3)".
 std::string loss_text(const TopicLoss& loss);
 

@@ -161,6 +161,7 @@ Result<DeletedRuns> Recording::deleted_runs() const try {
     int column = 8;
     for (std::uint64_t* one : counts) *one = count(column++);
     sensor.has_schedule = sensor.scheduled != 0;
+    sensor.is_one_a_read = false;  // not known any more
     sensor.lost_is_known = query.integer(23) == 0;
     of.outages = {count(24), Duration{query.integer(25)}, query.integer(26) != 0};
   }

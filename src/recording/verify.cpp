@@ -211,6 +211,7 @@ void TopicLoss::add(const TopicLoss& other) noexcept {
   missed += other.missed;
   failed += other.failed;
   unreadable += other.unreadable;
+  failed_unreadable += other.failed_unreadable;
   by_source += other.by_source;
   dropped_newest += other.dropped_newest;
   dropped_oldest += other.dropped_oldest;

@@ -3,13 +3,25 @@
 #include <map>
 #include <set>
 
+#include "recording/account_text.hpp"
 #include "recording/verify_run.hpp"
 
 namespace rtdata::detail {
 
 TopicLoss loss_of(const LedgerEntry& entry, const Outages& outages) {
-  return {entry.topic,          entry.sensor.missed,  entry.sensor.failed,   entry.sensor.unreadable, entry.sensor.lost,
-          entry.dropped_newest, entry.dropped_oldest, entry.dropped_refused, entry.dropped_unsaved,   outages};
+  const SensorCounts& of = entry.sensor;
+  return {entry.topic,
+          of.missed,
+          of.failed,
+          of.unreadable,
+          of.lost,
+          entry.dropped_newest,
+          entry.dropped_oldest,
+          entry.dropped_refused,
+          entry.dropped_unsaved,
+          outages,
+          {},
+          failed_unreadable(of)};
 }
 
 void verify_deleted(DeletedRuns runs, VerifyReport& report) {

@@ -60,6 +60,7 @@ nlohmann::ordered_json json_of(const TopicLoss& loss) {
           {"ticks", loss.ticks()},
           {"missed", loss.missed},
           {"failed", loss.failed},
+          {"failed_unreadable", loss.failed_unreadable},
           {"outages", loss.outages.number},
           {"outage_time_ns", loss.outages.time.count()},
           {"made_of_it", loss.made_of_it}};

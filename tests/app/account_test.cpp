@@ -140,6 +140,14 @@ TEST_SUITE("app") {
     dropping.sinks[0].dropped[2] = 2;
     dropping.total.dropped = 7;
     CHECK(has(verdict(dropping, {}), "7 events dropped by sinks (gps): 5 queue full, 2 refused; taken"));
+    app::Status bad;  // what is unreadable at failed ticks is lost once
+    bad.topics = {{.name = "adc", .failed = 40, .unreadable = 40, .failed_unreadable = 40}};
+    bad.total = bad.topics[0];
+    CHECK(has(verdict(bad, {.has_loss = true}), "LOST: 40 ticks failed, 40 of them unreadable (adc); taken: "));
+    CHECK(has(app::progress(bad), "40 failed, 0 dropped"));
+    bad.topics.push_back({.name = "fifo", .unreadable = 2});
+    bad.total.unreadable = 42;
+    CHECK(has(verdict(bad, {.has_loss = true}), "40 of them unreadable (adc), 2 unreadable (fifo); taken: "));
     app::Status none;
     none.mute = {"board"};
     CHECK(verdict(none, {}) == "NO EVENT ever came from board; nothing lost that is known: 0 events; ledger balances");

@@ -4,6 +4,7 @@
 
 #include <string>
 
+#include "app/inspect/live_curves.hpp"
 #include "app/process.hpp"
 #include "app/runtime_folder.hpp"
 #include "has.hpp"
@@ -37,6 +38,22 @@ struct Said {
 }  // namespace
 
 TEST_SUITE("app") {
+  TEST_CASE("NFR-5 plot of a running instance says what the sensors lost, and calls what sinks dropped so") {
+    using namespace std::chrono_literals;
+    rtdata::app::LiveCurves curves({"t.x"}, {"t"}, 60s);
+    curves.take(R"({"topic": "t", "origin": "s", "time": 1000000000, "until": 2000000000, "count": 1,
+                    "data": {"x": {"count": 1, "least": 1, "most": 1, "mean": 1, "last": 1}}})");
+    rtdata::app::Status status;
+    status.topics.push_back({.name = "t", .dropped = 118});
+    rtdata::app::Curve curve = curves.plot(1s, status).curves.at(0);
+    CHECK(curve.verdict == "all there so far, sinks dropped 118");
+    CHECK_FALSE(curve.has_loss);
+    status.topics[0] = {.name = "t", .missed = 3, .failed = 2, .unreadable = 3, .failed_unreadable = 2};
+    curve = curves.plot(1s, status).curves.at(0);
+    CHECK(curve.verdict == "6 lost since the start");
+    CHECK(curve.has_loss);
+  }
+
   TEST_CASE("NFR-5 plot draws a running instance from its recording on, and says what was lost") {
     const RuntimeFolder runtime;
     const Folder folder;

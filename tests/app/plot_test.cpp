@@ -9,6 +9,7 @@
 #include "app/process.hpp"
 #include "has.hpp"
 #include "paths.hpp"
+#include "rtdata/sensors/derived.hpp"
 #include "rtdata/sensors/limit.hpp"
 #include "sinks/recordings.hpp"
 
@@ -123,6 +124,58 @@ lost of room/climate in run 1: missed 4, failed 2
     CHECK(has(last.out, "room/climate.humidity [%RH]  always 40"));
     CHECK(has(last.out, "4 of 6 lost here"));
     CHECK(plotted(path, {"room/climate.temperature"}, {.last = "1 h"}).out == all.out);
+  }
+
+  TEST_CASE("FW-5 plot: what is unreadable at a failed tick is lost once, and is missing in what is made of it") {
+    const Folder folder;
+    const std::string path = folder / "all.db", only = folder / "only.db";
+    {
+      Loop loop{Loop::Manual{}};
+      loop.on_error([](const ErrorReport&) {});
+      const SqliteSink sink(loop, {.path = path});
+      const SqliteSink made(loop, {.path = only, .sink = {.topics = {"twice"}}});
+      int reads = 0;
+      Sensor<Climate> room(loop,
+                           {.name = "room",
+                            .rate = 20_Hz,
+                            .faulted_after = 1000,
+                            .process = {{"temperature", {.calibration = Calibration{.most = 50}}}}},
+                           [&]() -> Result<Climate> {
+                             ++reads;
+                             return Climate{reads > 40 && reads <= 60 ? 100.0 : 20.0 + reads % 5, 40};
+                           });
+      const DerivedSensor twice(loop, {.name = "twice"}, {.on = "room", .expression = "temperature * 2"});
+      loop.advance(5s);
+      CHECK(loop.close() == 0);
+    }
+    REQUIRE(number(path, "SELECT count(*) FROM rtdata_ledger WHERE failed = 20 AND unreadable = 20") == 1);
+    CHECK(has(verified(path).text(), "LOST: 20 ticks of room (failed 20, 20 of them unreadable)\n"));
+    const Shown room = plotted(path, {"room.temperature"});
+    CHECK(has(room.out, " 20 lost\n"));
+    CHECK(has(room.out, "lost of room in run 1: failed 20, of them unreadable 20\n"));
+    for (const std::string& one : {path, only}) {
+      CAPTURE(one);
+      const Shown twice = plotted(one, {"twice"});
+      CHECK_MESSAGE(has(twice.out, " 20 lost\n"), twice.out);
+      CHECK(has(twice.out, "of room, 20 lost\n"));
+      CHECK(has(twice.out, "twice is made of room: what these lost is missing in it, too\n"));
+      std::ostringstream page, err;
+      CHECK(rtdata::app::report({.database = one, .file = "-"}, page, err) == 0);
+      CHECK(has(page.str(), " of what is there</span>"));
+      // The place is empty: no line leads across it.
+      const std::vector<std::string> lines = lines_of(twice.out);
+      const auto marks = std::find_if(lines.begin(), lines.end(), [](const std::string& line) {
+        return has(line, "aaaaa") && line.find_first_not_of(" a") == std::string::npos;
+      });
+      REQUIRE(marks != lines.end());
+      const std::size_t first = marks->find('a') + 1, end = marks->rfind('a');
+      for (const std::string& line : lines)
+        if (has(line, " |") || has(line, " +")) {
+          if (line.size() > first && !has(line, "--")) {
+            CHECK(line.substr(first, end - first).find_first_not_of(' ') == std::string::npos);
+          }
+        }
+    }
   }
 
   TEST_CASE("FW-5 plot: rows that were not stored leave a place empty, also where no gap tells of it") {

@@ -303,6 +303,30 @@ it was not forged.
     CHECK(times_in(all.page, "<path class=\"warn\"") == 1);  // the other is far away
     CHECK(times_in(all.page, "<figure>") == 2);              // and none of the course itself
     CHECK(has(all.page, "of its values"));
+    // A reload brought another limit, and later one that left it as it was: each is drawn for its time.
+    const std::string added =
+        "INSERT INTO rtdata_configuration (run, time, object, text, count) SELECT run, started + 6000000000, '', "
+        "replace(configuration, '50', '40'), 1 FROM rtdata_run;"
+        "INSERT INTO rtdata_configuration (run, time, object, text, count) SELECT run, started + 7000000000, '', "
+        "replace(configuration, '50', '40'), 1 FROM rtdata_run;";
+    written_as(path, added);
+    const Made reloaded = made(path);
+    CHECK_PAGE(reloaded);
+    CHECK(has(reloaded.page,
+              "<span class=\"range\">limits: low -1000, high 50 until 22:13:26.000, low -1000, high 40 from "
+              "22:13:26.000</span>"));
+    const auto shade_of = [&](std::size_t number) {
+      std::size_t at = 0;
+      for (std::size_t i = 0; i <= number; ++i) at = reloaded.page.find("<rect class=\"warn\"", at + 1);
+      REQUIRE(at != std::string::npos);
+      return reloaded.page.substr(at, reloaded.page.find("/>", at) - at);
+    };
+    CHECK(times_in(reloaded.page, "<path class=\"warn\"") == 2);
+    const std::string first = shade_of(0), second = shade_of(1);
+    CHECK(has(first, "x=\"0\""));
+    const std::size_t width_at = first.find("width=\"") + 7;
+    const std::string width = first.substr(width_at, first.find('"', width_at) - width_at);
+    CHECK(has(second, "x=\"" + width + "\""));  // it begins where the other ends
   }
 
   TEST_CASE("FW-5 report: markup, quotes, long texts and bytes that are no text, in each place") {
@@ -458,6 +482,50 @@ it was not forged.
     // A step whose first rows are pruned has the figures of all of them.
     CHECK(has(rest.page, "always 20 over 3"));
     CHECK_FALSE(has(rest.page, "over all of the time"));
+    // Nobody takes the rest for all.
+    const std::string deleted = std::to_string(static_cast<std::uint64_t>(stored - there));
+    CHECK(has(rest.page, "<span class=\"there\">nothing lost, " + deleted + " pruned</span>"));
+    CHECK(has(section(rest.page, "What is missing"), "by max_age or max_bytes: room " + deleted + "</p>"));
+    CHECK_FALSE(has(rest.page, "Nothing."));
+    std::ostringstream out, err;
+    CHECK(app::plot({.database = pruned, .fields = {"room.temperature"}}, out, err) == 0);
+    CHECK(has(out.str(), "nothing lost, " + deleted + " pruned\n"));
+    std::ostringstream compared;
+    CHECK(app::compare({.database = pruned, .first = "1", .second = "1"}, compared, err) == 0);
+    CHECK(has(compared.str(), "\n  2: " + deleted + " rows of the run are pruned, and not in the figures\n"));
+  }
+
+  TEST_CASE("FW-5 report: the mean of rows that do not stand for equal times is called so") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop{Loop::Manual{}};
+      const SqliteSink sink(loop, {.path = path});
+      double value = 0;
+      Sensor<Climate> held(
+          loop, {.name = "held", .rate = 10_Hz, .process = {{"temperature", {.filters = {Filter::delta(1)}}}}},
+          [&]() -> Result<Climate> {
+            return Climate{value, 1};
+          });
+      Sensor<Climate> faster(loop, {.name = "faster", .rate = 1_Hz}, [&]() -> Result<Climate> {
+        return Climate{value, 1};
+      });
+      loop.advance(9950ms);
+      value = 7;
+      faster.set_rate(10_Hz);
+      loop.advance(1s);
+      loop.close();
+    }
+    const Made all = made(path);
+    CHECK_PAGE(all);
+    CHECK(number(path, "SELECT count(*) FROM held") == 2);
+    const std::string held_back = std::to_string(
+        number(path, "SELECT filtered FROM rtdata_ledger WHERE topic = 'held'"));
+    CHECK(has(all.page, ", mean 3.5 of the recorded values; " + held_back + " samples were held back</span>"));
+    CHECK(has(all.page, "always 1 in the recorded values; " + held_back + " samples were held back</span>"));
+    CHECK(has(all.page, "<span class=\"there\">all there, " + held_back + " held back</span>"));
+    CHECK(has(all.page, " of the recorded values; the rate was changed</span>"));
+    CHECK_FALSE(has(all.page, "over all of the time"));
   }
 
   TEST_CASE("FW-5 report: how far UTC may be wrong is said where the clock said how well it was set") {
@@ -496,6 +564,17 @@ it was not forged.
     curve.steps[0].numbers = 450;  // NaN
     CHECK(app::coverage_of(curve, account, 0s, 100s) == 0.5);
     CHECK(app::coverage_of(app::Curve{}, LedgerEntry{}, 0s, 100s) == 0);
+    // A tick that failed because its sample was unreadable is missing once.
+    curve.steps[0].events = curve.steps[0].numbers = account.stored = 600;
+    account.sensor.failed = account.sensor.unreadable = 400;
+    CHECK(app::coverage_of(curve, account, 0s, 100s) == 0.6);
+    // What a filter held back was there.
+    curve.steps[0].events = curve.steps[0].numbers = 26;
+    LedgerEntry lines;
+    lines.stored = 26;
+    lines.sensor.filtered = 449;
+    lines.sensor.unreadable = 25;
+    CHECK(app::coverage_of(curve, lines, 0s, 100s) == 0.95);
   }
 
   TEST_CASE("FW-5 report: 500 topics, and a day of 20 fields from its steps, are pages that can be sent") {

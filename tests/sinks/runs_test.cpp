@@ -816,7 +816,7 @@ TEST_SUITE("sinks") {
     REQUIRE(json["topics"].size() == 3);
     CHECK(json["topics"][0]["lost"] == nlohmann::json::parse(R"(["11 ticks", ""])"));
     CHECK(json["topics"][2] == nlohmann::json::parse(R"({"topic": "mute", "origin": "", "events": [0, 0],
-        "lost": ["11 ticks", "11 ticks"], "fields": []})"));
+        "lost": ["11 ticks", "11 ticks"], "pruned": [0, 0], "fields": []})"));
     const Told one = told(app::compare, {.database = path, .first = "1", .second = "1"});
     CHECK_MESSAGE(has(one.out, "\nmute: 0 and 0 events\n"), one.out);
   }

@@ -58,10 +58,13 @@ struct TopicLoss {
   std::uint64_t not_saved = 0;                                        ///< when the run ended without closing
   Outages outages;                                                    ///< the number of lost samples is unknown
   std::vector<std::string> made_of_it = {};  ///< recorded topics made from this one, if it is not recorded itself
+  /// The part of failed whose sample is in unreadable, too. 0 where reads bring several samples: then it is unknown.
+  std::uint64_t failed_unreadable = 0;
 
   std::uint64_t ticks() const noexcept { return missed + failed; }
+  /// Without those of failed ticks.
   std::uint64_t samples() const noexcept {
-    return unreadable + by_source + dropped_newest + dropped_oldest + refused + not_saved;
+    return unreadable - failed_unreadable + by_source + dropped_newest + dropped_oldest + refused + not_saved;
   }
   bool has_loss() const noexcept { return ticks() + samples() + outages.number > 0; }
   void add(const TopicLoss& other) noexcept;

@@ -16,6 +16,7 @@ namespace {
 
 void add(Status::Account& sum, const Status::Account& of) {
   sum.late += of.late, sum.missed += of.missed, sum.failed += of.failed, sum.unreadable += of.unreadable;
+  sum.failed_unreadable += of.failed_unreadable;
   sum.lost_is_known = sum.lost_is_known || of.lost_is_known;
   sum.lost += of.lost, sum.repeated += of.repeated, sum.first_lines += of.first_lines;
   sum.outages.add(of.outages);
@@ -33,6 +34,7 @@ Status::Sensor shown(SensorStatus& of) {
   sensor.is_running = of.running;
   sensor.published = counts.published, sensor.late = counts.late, sensor.missed = counts.missed;
   sensor.failed = counts.failed, sensor.unreadable = counts.unreadable, sensor.lost = counts.lost;
+  sensor.failed_unreadable = detail::failed_unreadable(counts);
   sensor.repeated = counts.repeated, sensor.first_lines = counts.first_lines;
   sensor.lost_is_known = counts.lost_is_known;
   sensor.outages = of.outages;
@@ -123,8 +125,9 @@ Status status_of(Runtime& runtime, const std::map<std::string, std::string>& pat
 std::string progress(const Status& status) {
   const Status::Account& all = status.total;
   const auto part = [](std::uint64_t count, const char* what) { return ", " + std::to_string(count) + " " + what; };
+  const std::uint64_t unreadable = all.unreadable - all.failed_unreadable;
   return std::to_string(all.published) + " events" + part(all.late, "late") + part(all.missed, "missed") +
-         part(all.failed, "failed") + (all.unreadable > 0 ? part(all.unreadable, "unreadable") : "") +
+         part(all.failed, "failed") + (unreadable > 0 ? part(unreadable, "unreadable") : "") +
          (all.lost > 0 ? part(all.lost, "lost") : "") + (all.outages.number > 0 ? ", " + to_string(all.outages) : "") +
          part(all.dropped, "dropped") + part(status.queued, "queued") +
          (status.waiting > 0 ? part(status.waiting, "to be sent") : "");
@@ -189,8 +192,13 @@ std::string verdict(const Status& status, const Ending& ending) {
     if (sum > 0) add(std::to_string(sum) + " " + (sum == 1 ? one : many), topics_of(member));
   };
   count(&Status::Account::missed, all.missed, "tick missed", "ticks missed");
-  count(&Status::Account::failed, all.failed, "tick failed", "ticks failed");
-  count(&Status::Account::unreadable, all.unreadable, "unreadable", "unreadable");
+  const std::string of_failed = all.failed_unreadable == 0 ? "" : ", " + detail::unreadable_text(all.failed_unreadable);
+  count(&Status::Account::failed, all.failed, ("tick failed" + of_failed).c_str(),
+        ("ticks failed" + of_failed).c_str());
+  const auto unreadable = [](const Status::Account& of) { return of.unreadable - of.failed_unreadable; };
+  if (unreadable(all) > 0)
+    add(std::to_string(unreadable(all)) + " unreadable",
+        worst(unreadable, [&](const Status::Account& topic) { return std::to_string(unreadable(topic)); }));
   count(&Status::Account::lost, all.lost, "lost by its source", "lost by their sources");
   if (all.outages.number > 0) {
     add(to_string(all.outages),
@@ -266,6 +274,7 @@ TopicLoss held_of(const Status& status, const std::string& topic) {
       sum.missed += loss.missed;
       sum.failed += loss.failed;
       sum.unreadable += loss.unreadable;
+      sum.failed_unreadable += loss.failed_unreadable;
       sum.by_source += loss.by_source;
       sum.outages.add(loss.outages);
     }
@@ -275,6 +284,7 @@ TopicLoss held_of(const Status& status, const std::string& topic) {
     most.missed = std::max(most.missed, sum.missed);
     most.failed = std::max(most.failed, sum.failed);
     most.unreadable = std::max(most.unreadable, sum.unreadable);
+    most.failed_unreadable = std::max(most.failed_unreadable, sum.failed_unreadable);
     most.by_source = std::max(most.by_source, sum.by_source);
     if (sum.outages.number > most.outages.number) most.outages = sum.outages;
   }
@@ -292,6 +302,7 @@ std::vector<std::string> unrecorded_lines(const Status& status) {
     left.missed = beyond(topic.missed, held.missed);
     left.failed = beyond(topic.failed, held.failed);
     left.unreadable = beyond(topic.unreadable, held.unreadable);
+    left.failed_unreadable = std::min(beyond(topic.failed_unreadable, held.failed_unreadable), left.unreadable);
     left.by_source = beyond(topic.lost, held.by_source);
     left.outages.number = beyond(topic.outages.number, held.outages.number);
     if (left.outages.number != 0) left.outages.time = std::max(topic.outages.time - held.outages.time, Duration{0});

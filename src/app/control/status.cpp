@@ -27,7 +27,8 @@ void health_fields(Visit& visit, Health& health, std::string& reason) {
 template <class Visit>
 void count_fields(Visit& visit, Status::Account& of) {
   visit("published", of.published), visit("late", of.late), visit("missed", of.missed), visit("failed", of.failed);
-  visit("unreadable", of.unreadable), visit("repeated", of.repeated), visit("outages", of.outages.number);
+  visit("unreadable", of.unreadable), visit("failed_unreadable", of.failed_unreadable);
+  visit("repeated", of.repeated), visit("outages", of.outages.number);
   visit("outage_time_s", of.outages.time), visit("first_lines", of.first_lines);
   std::optional<std::uint64_t> lost = of.lost_is_known ? std::optional(of.lost) : std::nullopt;
   visit("lost", lost), of.lost_is_known = lost.has_value(), of.lost = lost.value_or(0);

@@ -33,6 +33,7 @@ struct Status {
   struct Account {
     std::string name = {};
     std::uint64_t published = 0, late = 0, missed = 0, failed = 0, unreadable = 0;
+    std::uint64_t failed_unreadable = 0;          ///< the part of failed whose sample is in unreadable, too
     std::uint64_t lost = 0;                       ///< by the source
     bool lost_is_known = false;                   ///< for a topic or all: true for at least one of its sensors
     std::uint64_t repeated = 0, first_lines = 0;  ///< no loss
@@ -42,7 +43,8 @@ struct Status {
     Health health = Health::ok;  ///< for a topic, the worst of its sensors
     std::string reason = {};
 
-    std::uint64_t losses() const noexcept { return missed + failed + unreadable + lost + dropped; }
+    /// Without what sinks dropped: others may have it.
+    std::uint64_t losses() const noexcept { return missed + failed + unreadable - failed_unreadable + lost; }
     bool has_loss() const noexcept { return losses() + outages.number > 0; }
   };
   struct Lateness {

@@ -86,7 +86,7 @@ std::string losses_text(const Status::Account& all) {
   std::string losses;
   for (const auto& [count, what] : {std::pair{all.missed, "missed"},
                                     {all.failed, "failed"},
-                                    {all.unreadable, "unreadable"},
+                                    {all.unreadable - all.failed_unreadable, "unreadable"},
                                     {all.lost, "lost by the source"},
                                     {all.dropped, "dropped by sinks"}})
     if (count > 0) losses += (losses.empty() ? "" : ", ") + short_count(count) + " " + what;

@@ -67,6 +67,7 @@ struct Side {
 struct Part {
   std::array<std::uint64_t, 2> events{};
   std::array<std::string, 2> lost;
+  std::array<std::uint64_t, 2> pruned{};                    // of the whole run
   std::vector<std::pair<std::string, std::string>> fields;  // and their units, in order
   std::map<std::string, std::array<RunFigures, 2>> figures;
 };
@@ -127,6 +128,8 @@ void read_side(const Recording& recording, const Side& side, std::size_t which, 
       }
     }
   }
+  for (const LedgerEntry& entry : recording.ledger(side.info.run).or_throw())
+    if (entry.pruned != 0) parts[{entry.topic, entry.origin}].pruned[which] = entry.pruned;
   const RunReport account = account_of(recording, side.info.run).or_throw();
   for (const TopicLoss& loss : account.losses) {
     std::string text;
@@ -168,6 +171,9 @@ void print(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, s
         << (key.second == key.first || key.second.empty() ? "" : " of " + key.second) << ": " << part.events[0]
         << " and " << part.events[1] << " events\n";
     for (std::size_t i = 0; i < 2; ++i)
+      if (part.pruned[i] != 0)
+        out << "  " << i + 1 << ": " << part.pruned[i] << " rows of the run are pruned, and not in the figures\n";
+    for (std::size_t i = 0; i < 2; ++i)
       if (!part.lost[i].empty()) out << "  " << i + 1 << ": in the whole run the topic lost " << part.lost[i] << "\n";
     Table table({"field", "", ">least", ">mean", ">largest"});
     for (const auto& [field, unit] : part.fields) {
@@ -189,7 +195,11 @@ void print_json(const std::array<Side, 2>& sides, const std::map<Key, Part>& par
   for (const Side& side : sides)
     json["runs"].push_back({{"run", side.info.run}, {"name", side.info.name}, {"from_utc", side.from_utc}});
   for (const auto& [key, part] : parts) {
-    Json one{{"topic", key.first}, {"origin", key.second}, {"events", part.events}, {"lost", part.lost}};
+    Json one{{"topic", key.first},
+             {"origin", key.second},
+             {"events", part.events},
+             {"lost", part.lost},
+             {"pruned", part.pruned}};
     one["fields"] = Json::array();
     for (const auto& [field, unit] : part.fields) {
       Json figures{{"field", field}, {"unit", unit}};

@@ -30,13 +30,13 @@ double number_in(const nlohmann::ordered_json& object, const char* key) {
   return std::numeric_limits<double>::quiet_NaN();
 }
 
-/// "12 lost since the start"
+/// "12 lost since the start". What sinks dropped is not lost here: the curve does not come through them.
 std::string verdict_of(const Status::Account& of) {
-  if (!of.has_loss()) return "all there so far";
   std::string text;
   if (of.losses() != 0) text = std::to_string(of.losses()) + " lost";
   if (of.outages.number != 0) text += (text.empty() ? "" : ", ") + to_string(of.outages);
-  return text + " since the start";
+  text = text.empty() ? "all there so far" : text + " since the start";
+  return of.dropped == 0 ? text : text + ", sinks dropped " + std::to_string(of.dropped);
 }
 
 }  // namespace

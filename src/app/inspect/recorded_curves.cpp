@@ -31,10 +31,25 @@ struct Source {
   std::vector<std::vector<Curve>> curves;  // of each chosen field of that topic; several: its type changed
   std::vector<CurveGap> gaps;
   bool has_schedule = false;
-  std::uint64_t last_sequence = 0;  // of the step before
+  std::uint64_t held_back = 0, pruned = 0;  // on purpose; by a limit of the recording
+  std::set<std::string> made_of;            // topics, also through others
+  std::uint64_t last_sequence = 0;          // of the step before
   Time last_begin{};
 };
 using Sources = std::map<std::pair<std::string, std::string>, Source>;  // by topic and origin
+
+/// The topics of which the events of an origin are made, also through others.
+std::set<std::string> made_of(const LedgerEntry& origin, const std::vector<LedgerEntry>& ledger) {
+  std::set<std::string> all;
+  for (std::vector<std::string> next = origin.made_of; !next.empty();) {
+    const std::string topic = std::move(next.back());
+    next.pop_back();
+    if (topic == origin.topic || !all.insert(topic).second) continue;
+    for (const LedgerEntry& entry : ledger)
+      if (entry.topic == topic) next.insert(next.end(), entry.made_of.begin(), entry.made_of.end());
+  }
+  return all;
+}
 
 /// The steps in which a run is read.
 struct Sampling {
@@ -52,9 +67,16 @@ class Reader {
     for (RecordedTopic& one : recording.topics().or_throw())
       if (const auto topic = topics_.find(one.topic); topic != topics_.end())
         topic->second.descriptions[one.version] = std::move(one);
-    for (const LedgerEntry& entry : recording.ledger(range.run.run).or_throw())
-      if (topics_.contains(entry.topic) && (!origin || entry.origin == *origin))
-        source(entry.topic, entry.origin).has_schedule = entry.sensor.has_schedule;
+    const std::vector<LedgerEntry> ledger = recording.ledger(range.run.run).or_throw();
+    for (const LedgerEntry& entry : ledger) {
+      if (!topics_.contains(entry.topic) || (origin && entry.origin != *origin)) continue;
+      Source& of = source(entry.topic, entry.origin);
+      of.has_schedule = entry.sensor.has_schedule;
+      of.held_back = entry.sensor.filtered;
+      of.pruned = entry.pruned;
+      of.made_of = made_of(entry, ledger);
+    }
+    add_gaps_of_others(recording, ledger);
     RowFilter filter{.run = range.run.run, .origin = origin};
     if (topics_.size() == 1) filter.topic = topics_.begin()->first;
     if (sampling.times == RowFilter::Times::utc) {  // recorded steps cover the whole run
@@ -100,12 +122,32 @@ class Reader {
     return known->second;
   }
 
+  CurveGap gap_of(const RecordedGap& gap, bool has_schedule) const {
+    const bool is_joined = gap.kind == "joined";
+    const bool has_count = gap.kind == "missed" || gap.kind == "failed" || (is_joined && has_schedule);
+    return {range_.line.utc(gap.first), range_.line.utc(gap.last), has_count ? gap.count : 0, reason_of(gap)};
+  }
+
   void add(const RecordedGap& gap) {
     Source& of = source(gap.topic, gap.origin);
-    const bool is_joined = gap.kind == "joined";
-    const bool has_count = gap.kind == "missed" || gap.kind == "failed" || (is_joined && of.has_schedule);
-    of.gaps.push_back(
-        {range_.line.utc(gap.first), range_.line.utc(gap.last), has_count ? gap.count : 0, reason_of(gap)});
+    of.gaps.push_back(gap_of(gap, of.has_schedule));
+  }
+
+  /// What is missing of a topic is missing of those that are made of it, too.
+  void add_gaps_of_others(const Recording& recording, const std::vector<LedgerEntry>& ledger) {
+    const bool is_any_made = std::any_of(sources_.begin(), sources_.end(),
+                                         [](const auto& one) { return !one.second.made_of.empty(); });
+    if (!is_any_made) return;
+    std::set<std::pair<std::string, std::string>> scheduled;
+    for (const LedgerEntry& entry : ledger)
+      if (entry.sensor.has_schedule) scheduled.emplace(entry.topic, entry.origin);
+    for (const RecordedGap& gap : recording.gaps(range_.run.run).or_throw()) {
+      CurveGap of_other = gap_of(gap, scheduled.contains({gap.topic, gap.origin}));
+      if (of_other.last < range_.from || of_other.first >= range_.until) continue;
+      of_other.reason += ", of " + gap.topic;
+      for (auto& [name, source] : sources_)
+        if (source.made_of.contains(gap.topic)) source.gaps.push_back(of_other);
+    }
   }
 
   Time begin_of(const RecordedRow& row) const {
@@ -222,25 +264,31 @@ class Reader {
 
 // ---- the account
 
-/// The losses of a topic in the run, and of its unrecorded source topics.
-TopicLoss loss_of(const RunReport& account, const std::string& topic) {
-  TopicLoss loss;
-  for (const TopicLoss& one : account.losses) {
-    const auto& made = one.made_of_it;
-    if (one.topic == topic || std::find(made.begin(), made.end(), topic) != made.end()) loss.add(one);
+/// The losses of a topic in the run, then those of the topics of which it is made: what the recording dropped of these
+/// came, and is in what was made of it.
+std::vector<TopicLoss> losses_of(const RunReport& account, const std::string& topic,
+                                 const std::set<std::string>& made) {
+  std::vector<TopicLoss> losses(1);
+  losses.front().topic = topic;
+  for (TopicLoss one : account.losses) {
+    if (one.topic == topic) losses.front() = one;
+    if (!made.contains(one.topic)) continue;
+    one.dropped_newest = one.dropped_oldest = one.refused = one.not_saved = 0;
+    if (one.has_loss()) losses.push_back(std::move(one));
   }
-  loss.topic = topic;
-  return loss;
+  return losses;
 }
 
-/// "12 lost", "1 outage of 6.3 s", both; where only a part of the run is shown: "4 of 12 lost here".
-std::string verdict_of(const RunReport& account, const TopicLoss& loss, const Sources& sources, bool is_whole) {
+/// "12 lost", "1 outage of 6.3 s", both; where only a part of the run is shown: "4 of 12 lost here". `there`: "all
+/// there".
+std::string loss_verdict_of(const RunReport& account, const TopicLoss& loss, const Sources& sources, bool is_whole,
+                            const std::string& there) {
   if (!loss.has_loss()) {
-    if (account.verdict == Verdict::recording) return "all there so far";
+    if (account.verdict == Verdict::recording) return there + " so far";
     const bool is_known = account.not_known.empty() &&
                           std::none_of(account.losses.begin(), account.losses.end(),
                                        [](const TopicLoss& one) { return one.topic.empty(); });
-    return is_known ? "all there" : "all there as far as is known";
+    return is_known ? there : there + " as far as is known";
   }
   const std::uint64_t lost = loss.ticks() + loss.samples(), outages = loss.outages.number;
   std::uint64_t lost_here = 0, outages_here = 0;
@@ -263,23 +311,42 @@ std::string verdict_of(const RunReport& account, const TopicLoss& loss, const So
   return text + " here";
 }
 
+/// The same, with the number of rows that are not there and no loss.
+std::string verdict_of(const RunReport& account, const TopicLoss& loss, const Sources& sources, bool is_whole) {
+  std::uint64_t held_back = 0, pruned = 0;
+  for (const auto& [name, source] : sources) {
+    if (name.first != loss.topic) continue;
+    held_back += source.held_back;
+    pruned += source.pruned;
+  }
+  const char* const there = pruned == 0 ? "all there" : "nothing lost";
+  std::string text = loss_verdict_of(account, loss, sources, is_whole, there);
+  if (pruned != 0) text += ", " + std::to_string(pruned) + " pruned";
+  if (held_back != 0) text += ", " + std::to_string(held_back) + " held back";
+  return text;
+}
+
 /// "lost of room/climate in run 1: missed 4, failed 2"; none: nothing was.
 void add_notes(std::vector<std::string>& notes, const RunReport& account, const TopicLoss& loss) {
   const std::string of = loss.topic + " in run " + std::to_string(account.info.run);
+  const auto add = [&](std::string note) {  // a topic may be itself in the picture, and several be made of it
+    if (std::find(notes.begin(), notes.end(), note) == notes.end()) notes.push_back(std::move(note));
+  };
   std::string parts;
   for (const auto& [what, count] : {std::pair{"missed", loss.missed},
                                     {"failed", loss.failed},
+                                    {"of them unreadable", loss.failed_unreadable},
                                     {"lost by the source", loss.by_source},
-                                    {"unreadable", loss.unreadable},
+                                    {"unreadable", loss.unreadable - loss.failed_unreadable},
                                     {"dropped by the queue", loss.dropped_newest + loss.dropped_oldest},
                                     {"refused on storing", loss.refused},
                                     {"not saved", loss.not_saved}})
     if (count != 0) parts += (parts.empty() ? "" : ", ") + std::string(what) + " " + std::to_string(count);
   if (loss.outages.number != 0) parts += (parts.empty() ? "" : ", ") + to_string(loss.outages);
-  if (!parts.empty()) notes.push_back("lost of " + of + ": " + parts);
+  if (!parts.empty()) add("lost of " + of + ": " + parts);
   const auto& blind = account.not_detectable;
   if (std::find(blind.begin(), blind.end(), loss.topic) != blind.end())
-    notes.push_back("not detectable: what the source of " + loss.topic + " lost itself");
+    add("not detectable: what the source of " + loss.topic + " lost itself");
 }
 
 Plot empty_plot(const Recording& recording, const RecordedRange& range, Duration step) {
@@ -294,12 +361,20 @@ Plot empty_plot(const Recording& recording, const RecordedRange& range, Duration
 
 /// Adds the gaps and the verdict of the account to the curves of one topic.
 void finish(Sources& sources, const std::string& topic, const RunReport& account, bool is_whole, Plot& plot) {
-  const TopicLoss loss = loss_of(account, topic);
-  const std::string verdict = verdict_of(account, loss, sources, is_whole);
   const auto first = sources.lower_bound({topic, ""});
   const auto end = std::find_if(first, sources.end(), [&](const auto& one) { return one.first.first != topic; });
   const bool has_several = std::distance(first, end) > 1;
+  std::set<std::string> made_of;
+  for (auto source = first; source != end; ++source)
+    made_of.insert(source->second.made_of.begin(), source->second.made_of.end());
+  const std::vector<TopicLoss> losses = losses_of(account, topic, made_of);
+  TopicLoss loss;
+  loss.topic = topic;
+  for (const TopicLoss& one : losses) loss.add(one);
+  const std::string verdict = verdict_of(account, loss, sources, is_whole);
   for (auto source = first; source != end; ++source) {
+    std::stable_sort(source->second.gaps.begin(), source->second.gaps.end(),
+                     [](const CurveGap& a, const CurveGap& b) { return a.first < b.first; });
     for (auto& curves : source->second.curves) {
       for (Curve& curve : curves) {
         if (has_several) curve.name += " of " + curve.origin;
@@ -309,7 +384,13 @@ void finish(Sources& sources, const std::string& topic, const RunReport& account
       }
     }
   }
-  add_notes(plot.notes, account, loss);
+  std::string others;
+  for (const TopicLoss& one : losses) {
+    add_notes(plot.notes, account, one);
+    if (one.topic != topic) others += (others.empty() ? "" : ", ") + one.topic;
+  }
+  if (!others.empty())
+    plot.notes.push_back(topic + " is made of " + others + ": what these lost is missing in it, too");
 }
 
 /// In the order of the fields. `index`: which of its topic a field is.

@@ -60,6 +60,33 @@ std::map<std::string, std::vector<LimitSettings>> limits_of(const std::string& c
   return limits;
 }
 
+bool are_same(const LimitSettings& a, const LimitSettings& b) {
+  return a.low_low == b.low_low && a.low == b.low && a.high == b.high && a.high_high == b.high_high;
+}
+
+/// The limits of a run, with those of the configurations that reloads brought. `changes`: in order of time.
+std::map<std::string, std::vector<TimedLimits>> limits_of(const RecordedRange& range,
+                                                          const std::vector<RecordedConfiguration>& changes,
+                                                          const std::vector<RecordedTopic>& topics) {
+  std::vector<std::pair<Time, const std::string*>> texts{{range.from, &range.run.configuration}};
+  for (const RecordedConfiguration& change : changes)
+    if (change.object.empty() && !change.text.empty()) texts.emplace_back(range.line.utc(change.time), &change.text);
+  std::map<std::string, std::vector<TimedLimits>> all;
+  for (std::size_t i = 0; i < texts.size(); ++i) {
+    const Time from = texts[i].first, until = i + 1 < texts.size() ? texts[i + 1].first : range.until;
+    for (const auto& [field, limits] : limits_of(*texts[i].second, topics)) {
+      std::vector<TimedLimits>& of = all[field];
+      for (const LimitSettings& one : limits) {
+        const auto before = std::find_if(of.begin(), of.end(), [&](const TimedLimits& known) {
+          return known.until == from && are_same(known.limits, one);
+        });
+        before == of.end() ? of.push_back({one, from, until}) : static_cast<void>(before->until = until);
+      }
+    }
+  }
+  return all;
+}
+
 /// Fields without a curve, except those that the course of the run shows.
 std::vector<std::string> fields_without_curve(const std::vector<RecordedTopic>& topics,
                                               const std::vector<LedgerEntry>& ledger) {
@@ -89,15 +116,16 @@ ReportContent content_of(const Recording& recording, const RecordedRange& range)
                       "the program that records has just deleted it; see max_age and max_bytes"});
   const auto topics = recording.topics().or_throw();
   content.plot = curves_of_run(recording, content.range, content.report.runs[0], columns);
-  content.limits = limits_of(content.range.run.configuration, topics);
   content.course = course_of(recording, topics, run);
   content.ledger = recording.ledger(run).or_throw();
   content.not_drawn = fields_without_curve(topics, content.ledger);
+  content.schedule = recording.schedule(run).or_throw();
   content.gaps = recording.gaps(run).or_throw();
   content.clock = recording.clock(run).or_throw();
   content.errors = recording.errors(run).or_throw();
   content.health = recording.health(run).or_throw();
   content.changes = recording.configurations(run).or_throw();
+  content.limits = limits_of(content.range, content.changes, topics);
   content.made = wall_clock_now();
   return content;
 }

@@ -87,33 +87,12 @@ std::string missing_text(const std::string& reason, const Missing& of) {
          (of.gaps == 1 ? " gap" : " gaps");
 }
 
-std::vector<double> values_of(const std::vector<LimitSettings>& limits) {
+std::vector<double> values_of(const std::vector<TimedLimits>& limits) {
   std::vector<double> values;
-  for (const LimitSettings& one : limits)
+  for (const auto& [one, from, until] : limits)
     for (const std::optional<double>& limit : {one.low_low, one.low, one.high, one.high_high})
       if (limit) values.push_back(*limit);
   return values;
-}
-
-/// Shades the areas beyond the limits.
-std::string bands_of(const std::vector<LimitSettings>& limits, const Range& range, std::size_t columns) {
-  std::string text;
-  const auto add = [&](const std::optional<double>& limit, bool is_high, const char* kind) {
-    if (!limit) return;
-    const auto y = range.y_of_limit(*limit);
-    if (!y) return;
-    const std::string wide = std::to_string(columns);
-    text += "<rect class=\"" + std::string(kind) + "\" y=\"" + std::to_string(is_high ? 0 : *y) + "\" width=\"" + wide +
-            "\" height=\"" + std::to_string(is_high ? *y : inner - *y) + "\"/><path class=\"" + kind + "\" d=\"M0 " +
-            std::to_string(*y) + "h" + wide + "\"/>";
-  };
-  for (const LimitSettings& one : limits) {
-    add(one.low, false, "warn");
-    add(one.high, true, "warn");
-    add(one.low_low, false, "crit");
-    add(one.high_high, true, "crit");
-  }
-  return text;
 }
 
 }  // namespace
@@ -221,7 +200,29 @@ std::string ReportCharts::gaps_of(const Curve& curve) {
   return text + "</g>";
 }
 
-std::string ReportCharts::chart_of(const Curve& curve, const std::vector<LimitSettings>& limits) {
+/// Shades the areas beyond the limits, for as long as these held.
+std::string ReportCharts::bands_of(const TimedLimits& limits,
+                                   const std::function<std::optional<int>(double)>& y_of) const {
+  const std::size_t first = column_of(limits.from);
+  const std::size_t end = limits.until < plot_.until ? std::max(column_of(limits.until), first + 1) : columns_;
+  const std::string x = std::to_string(first), wide = std::to_string(end - first);
+  std::string text;
+  const auto add = [&](const std::optional<double>& limit, bool is_high, const char* kind) {
+    if (!limit) return;
+    const auto y = y_of(*limit);
+    if (!y) return;
+    text += "<rect class=\"" + std::string(kind) + "\" x=\"" + x + "\" y=\"" + std::to_string(is_high ? 0 : *y) +
+            "\" width=\"" + wide + "\" height=\"" + std::to_string(is_high ? *y : inner - *y) + "\"/><path class=\"" +
+            kind + "\" d=\"M" + x + " " + std::to_string(*y) + "h" + wide + "\"/>";
+  };
+  add(limits.limits.low, false, "warn");
+  add(limits.limits.high, true, "warn");
+  add(limits.limits.low_low, false, "crit");
+  add(limits.limits.high_high, true, "crit");
+  return text;
+}
+
+std::string ReportCharts::chart_of(const Curve& curve, const std::vector<TimedLimits>& limits) {
   const Scale scale(curve);
   const Range range(scale, values_of(limits));
   std::vector<bool> is_gap(columns_ + 1);
@@ -277,13 +278,14 @@ std::string ReportCharts::chart_of(const Curve& curve, const std::vector<LimitSe
     label(*range.low, scale.text(*range.low));
     label(*range.high, scale.text(*range.high));
   }
+  std::string bands;
+  for (const TimedLimits& one : limits) bands += bands_of(one, [&](double limit) { return range.y_of_limit(limit); });
   std::string text = "<svg viewBox=\"0 0 720 104\" role=\"img\" aria-label=\"" + html_text(curve.name) + "\">";
   text += is_first_ ? "<g id=\"axis\">" + common_ + "</g>" : "<use href=\"#axis\"/>";
   is_first_ = false;
   text += labels + "<svg x=\"" + tenths(left) + "\" y=\"" + tenths(top) + "\" width=\"" + tenths(width) +
           "\" height=\"" + tenths(height) + "\" viewBox=\"0 0 " + std::to_string(columns_) + " " +
-          std::to_string(inner) + "\" preserveAspectRatio=\"none\">" + bands_of(limits, range, columns_) +
-          gaps_of(curve);
+          std::to_string(inner) + "\" preserveAspectRatio=\"none\">" + bands + gaps_of(curve);
   const std::string filled = all.take(), line = mean.take();
   if (!filled.empty()) text += "<path class=\"all\" d=\"" + filled + "\"/>";
   if (!line.empty()) text += "<path class=\"mean\" d=\"" + line + "\"/>";

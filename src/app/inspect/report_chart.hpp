@@ -3,7 +3,9 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <map>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -20,18 +22,25 @@ struct ChartMark {
   const char* kind = "";   ///< "note", "command", "alarm", "state": the class of its line
 };
 
+/// Limits, and when they held.
+struct TimedLimits {
+  LimitSettings limits;
+  Time from{}, until{};  ///< UTC; `until` is not included
+};
+
 /// A picture for each curve of a plot, above a time axis in UTC: the range of each step filled, the mean as a line,
 /// gaps and limits shaded. Common elements are only in the first picture.
 class ReportCharts {
  public:
   ReportCharts(const Plot& plot, const std::vector<ChartMark>& marks);
   /// `limits`: those of this field, if any.
-  std::string chart_of(const Curve& curve, const std::vector<LimitSettings>& limits);
+  std::string chart_of(const Curve& curve, const std::vector<TimedLimits>& limits);
   /// The style sheet of the pictures.
   static const char* style();
 
  private:
   std::string gaps_of(const Curve& curve);
+  std::string bands_of(const TimedLimits& limits, const std::function<std::optional<int>(double)>& y_of) const;
   std::size_t column_of(Time time) const;
   double x_of(Time time) const;
 

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "recording/account_text.hpp"
+
 namespace rtdata::app {
 
 double coverage_of(const Curve& curve, const LedgerEntry& account, Duration outages, Duration run) {
@@ -13,8 +15,11 @@ double coverage_of(const Curve& curve, const LedgerEntry& account, Duration outa
     numbers += step.numbers;
   }
   const SensorCounts& sensor = account.sensor;
-  const std::uint64_t all = std::max(events, account.stored) + account.dropped() + sensor.unreadable + sensor.lost;
-  double share = all == 0 ? 0 : static_cast<double>(numbers) / static_cast<double>(all);
+  const std::uint64_t stored = std::max(events, account.stored), covered = stored + sensor.filtered;
+  // Failed ticks are counted below.
+  const std::uint64_t lost = account.dropped() + sensor.unreadable - detail::failed_unreadable(sensor) + sensor.lost;
+  double share = stored == 0 ? 0 : static_cast<double>(numbers) / static_cast<double>(stored);
+  if (lost != 0) share *= static_cast<double>(covered) / static_cast<double>(covered + lost);
   if (sensor.has_schedule && sensor.scheduled != 0)
     share *= 1 - static_cast<double>(sensor.missed + sensor.failed) / static_cast<double>(sensor.scheduled);
   if (outages > Duration{0})

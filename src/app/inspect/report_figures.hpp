@@ -10,6 +10,7 @@
 namespace rtdata::app {
 
 /// The share of the time, or of the values, that a mean covers: 0 to 1. 1: all that should have been measured.
+/// What was held back on purpose counts as covered.
 double coverage_of(const Curve& curve, const LedgerEntry& account, Duration outages, Duration run);
 
 /// The largest error of UTC in a run of this length, if each second away from a reading of the time of day adds 1 us.

@@ -14,7 +14,6 @@
 #include "app/inspect/curve_scale.hpp"
 #include "app/inspect/html.hpp"
 #include "app/inspect/recorded_curves.hpp"
-#include "app/inspect/report_chart.hpp"
 #include "app/inspect/report_figures.hpp"
 
 namespace rtdata::app {
@@ -201,8 +200,19 @@ class Page {
       of.first = std::min(of.first, gap.first);
       of.last = std::max(of.last, gap.last);
     }
-    if (all.empty() && run_.losses.empty())
+    const bool is_pruned = run_.pruned != 0;
+    if (all.empty() && run_.losses.empty() && (!is_pruned || !run_.not_known.empty()))
       add("<p>", run_.not_known.empty() ? "Nothing." : "Nothing that is known of.", "</p>\n");
+    if (is_pruned) {
+      std::string topics;
+      std::map<std::string, std::uint64_t> by_topic;
+      for (const LedgerEntry& entry : content_.ledger)
+        if (entry.pruned != 0) by_topic[entry.topic] += entry.pruned;
+      for (const auto& [topic, rows] : by_topic)
+        topics += (topics.empty() ? "" : ", ") + topic + " " + std::to_string(rows);
+      add("<p>Rows that were recorded and deleted since, by max_age or max_bytes: ", Raw{html_text(topics, 5000)},
+          "</p>\n");
+    }
     const std::vector<std::string>& notes = content_.plot.notes;
     constexpr std::size_t most_notes = 50;
     for (std::size_t i = 0; i < std::min(notes.size(), most_notes); ++i) add("<p>", notes[i], "</p>\n");
@@ -263,8 +273,17 @@ class Page {
     return found == content_.ledger.end() ? nullptr : &*found;
   }
 
-  /// "over 97.2 % of the time"
-  std::string coverage_text(const Curve& curve) const {
+  /// The rate was changed while it was recorded: rows of one time weigh more than those of another.
+  bool has_several_rates(const Curve& curve) const {
+    std::set<Duration> periods;
+    for (const RecordedSegment& one : content_.schedule)
+      if (one.topic == curve.topic && one.origin == curve.origin && one.segment.scheduled != 0)
+        periods.insert(one.segment.period);
+    return periods.size() > 1;
+  }
+
+  /// "over 97.2 % of the time"; where rows do not stand for equal times, "of the recorded values". `in`: "of", or "in".
+  std::string coverage_text(const Curve& curve, const char* in) const {
     const LedgerEntry* const account = account_of_curve(curve);
     if (account == nullptr) return "of what is there";
     Duration outages{0};
@@ -272,11 +291,18 @@ class Page {
       if (of.topic == curve.topic && of.origin == curve.origin) outages = of.outages.time;
     const double share = coverage_of(curve, *account, outages, length());
     const std::string of = account->sensor.has_schedule || outages > Duration{0} ? " of the time" : " of its values";
-    if (share >= 1) return "over all" + of;
     const double percent = std::floor(share * 1000) / 10;
-    std::array<char, 40> text{};
-    std::snprintf(text.data(), text.size(), percent < 0.1 ? "over less than 0.1 %%" : "over %.1f %%", percent);
-    return text.data() + of;
+    std::array<char, 40> part{};
+    std::snprintf(part.data(), part.size(), percent < 0.1 ? "less than 0.1 %%" : "%.1f %%", percent);
+    // How many values of it would have come of what its sources lost is not known.
+    if (share >= 1 && curve.has_loss && !account->made_of.empty()) return "of what is there";
+    const std::uint64_t held_back = account->sensor.filtered;
+    const bool is_rate_changed = has_several_rates(curve);
+    if (held_back == 0 && !is_rate_changed) return "over " + std::string(share >= 1 ? "all" : part.data()) + of;
+    std::string text = std::string(in) + " the recorded values";
+    if (share < 1) text += ", which stand for " + (part.data() + of);
+    if (held_back != 0) text += "; " + count(held_back, "sample") + (held_back == 1 ? " was" : " were") + " held back";
+    return text + (is_rate_changed ? "; the rate was changed" : "");
   }
 
   std::string time_of(const Extreme& extreme) const {
@@ -290,11 +316,11 @@ class Page {
     if (!curve.least) {
       text = "no values";
     } else if (scale.is_constant()) {
-      text = "always " + exact_text(*scale.least, curve.kind) + " " + coverage_text(curve);
+      text = "always " + exact_text(*scale.least, curve.kind) + " " + coverage_text(curve, "in");
     } else {
       text = "least " + texts.least + " at " + time_of(*curve.least) + ", most " + texts.most + " at " +
              time_of(*curve.most);
-      text += (texts.mean.empty() ? " " : ", mean " + texts.mean + " ") + coverage_text(curve);
+      text += (texts.mean.empty() ? " " : ", mean " + texts.mean + " ") + coverage_text(curve, "of");
     }
     std::uint64_t events = 0;
     for (const CurveStep& step : curve.steps) events += step.events;
@@ -303,16 +329,18 @@ class Page {
     return text + (scale.has_infinite ? "; some are infinite" : "");
   }
 
-  static std::string limits_text(const std::vector<LimitSettings>& limits) {
+  std::string limits_text(const std::vector<TimedLimits>& limits) const {
     std::string text;
     const auto add = [&](const std::optional<double>& limit, const char* name) {
       if (limit) text += (text.empty() ? "limits: " : ", ") + std::string(name) + " " + to_string(Value{*limit});
     };
-    for (const LimitSettings& one : limits) {
+    for (const auto& [one, from, until] : limits) {
       add(one.low_low, "low low");
       add(one.low, "low");
       add(one.high, "high");
       add(one.high_high, "high high");
+      if (from > content_.range.from) text += " from " + listed_time(from);
+      if (until < content_.range.until) text += " until " + listed_time(until);
     }
     return text;
   }
@@ -341,8 +369,8 @@ class Page {
       add("</span><span class=\"", curve.has_loss ? "lost" : "there", "\">", curve.verdict,
           "</span><span class=\"range\">", range_of_curve(curve), "</span>");
       const auto limits = content_.limits.find(curve.topic + "." + curve.path);
-      static const std::vector<LimitSettings> none;
-      const std::vector<LimitSettings>& of = limits == content_.limits.end() ? none : limits->second;
+      static const std::vector<TimedLimits> none;
+      const std::vector<TimedLimits>& of = limits == content_.limits.end() ? none : limits->second;
       if (!of.empty()) add("<span class=\"range\">", limits_text(of), "</span>");
       if (!curve.gaps.empty()) add("<span class=\"range lost\">", gaps_text(curve), "</span>");
       add("</figcaption>\n", Raw{charts.chart_of(curve, of)}, "</figure>\n");

@@ -8,7 +8,7 @@
 #include "app/inspect/course.hpp"
 #include "app/inspect/curve.hpp"
 #include "app/inspect/recorded_range.hpp"
-#include "rtdata/process/limits.hpp"
+#include "app/inspect/report_chart.hpp"
 #include "rtdata/recording/verify.hpp"
 
 namespace rtdata::app {
@@ -18,10 +18,11 @@ struct ReportContent {
   VerifyReport report;  ///< of one run
   RecordedRange range;  ///< all of it
   Plot plot;
-  std::vector<std::string> not_drawn;                        ///< fields that are not numbers, with their types
-  std::map<std::string, std::vector<LimitSettings>> limits;  ///< by "TOPIC.FIELD", as first configured
+  std::vector<std::string> not_drawn;                      ///< fields that are not numbers, with their types
+  std::map<std::string, std::vector<TimedLimits>> limits;  ///< by "TOPIC.FIELD", also those of reloads
   Course course;
   std::vector<LedgerEntry> ledger;
+  std::vector<RecordedSegment> schedule;
   std::vector<RecordedGap> gaps;
   std::vector<RecordedClock> clock;
   std::vector<RecordedError> errors;

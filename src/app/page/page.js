@@ -51,7 +51,8 @@
     return s < 172800 ? Math.round(s / 3600) + " h" : Math.round(s / 86400) + " d";
   };
   const rate = (hz) => (hz === null || hz === undefined ? "?" : String(+hz.toPrecision(hz < 10 ? 2 : 4)));
-  const lostOf = (one) => one.missed + one.failed + one.unreadable + (one.lost || 0) + (one.dropped || 0);
+  const lostOf = (one) => one.missed + one.failed + one.unreadable - (one.failed_unreadable || 0) + (one.lost || 0) +
+    (one.dropped || 0);
   const healthStyle = (health) => ({ok: "good", degraded: "warn", faulted: "bad"}[health] || "");
   // What publishes its changes alone may be silent.
   const isOfChanges = (topic) => topic === "rtdata/commands" || about.parts.some((one) => one.topic === topic && one.kind !== "sensor");

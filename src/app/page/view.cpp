@@ -18,6 +18,7 @@
 #include "app/page/page_history.hpp"
 #include "app/page/page_server.hpp"
 #include "app/page/page_setup.hpp"
+#include "recording/account_text.hpp"
 #include "rtdata/config/format.hpp"
 #include "rtdata/loop/clock.hpp"
 #include "rtdata/recording/recording.hpp"
@@ -49,7 +50,8 @@ Status status_of_run(const Recording& recording, const RunReport& report) {
   sink.name = sink.path = path;
   const auto add = [](Status::Account& to, const Status::Account& of) {
     to.published += of.published, to.late += of.late, to.missed += of.missed, to.failed += of.failed;
-    to.unreadable += of.unreadable, to.lost += of.lost, to.dropped += of.dropped;
+    to.unreadable += of.unreadable, to.failed_unreadable += of.failed_unreadable, to.lost += of.lost,
+        to.dropped += of.dropped;
     to.lost_is_known = to.lost_is_known || of.lost_is_known;
     to.outages.add(of.outages);
   };
@@ -59,6 +61,7 @@ Status status_of_run(const Recording& recording, const RunReport& report) {
     sensor.name = entry.origin, sensor.topic = entry.topic, sensor.is_running = true;
     sensor.published = counts.published, sensor.late = counts.late, sensor.missed = counts.missed;
     sensor.failed = counts.failed, sensor.unreadable = counts.unreadable, sensor.lost = counts.lost;
+    sensor.failed_unreadable = detail::failed_unreadable(counts);
     sensor.lost_is_known = counts.lost_is_known, sensor.dropped = entry.dropped();
     if (const auto one = outages.find(entry.origin); one != outages.end()) sensor.outages = one->second->outages;
     if (const auto period = periods.find(entry.origin); period != periods.end() && period->second > Duration{0})
