@@ -306,6 +306,14 @@ TEST_SUITE("app") {
     CHECK(lines[0] == json({{"now", to_nanoseconds(at(1s))}}));
   }
 
+  TEST_CASE("NFR-5 a stream begins at ns since 1970, as a number or as its text") {
+    for (const char* const from : {"1700000000000000000", "\"1700000000000000000\""}) {
+      const auto made = stream_request(std::string(R"({"request":"subscribe","from":)") + from + "}");
+      REQUIRE(made);
+      CHECK(made->from == at(0s));
+    }
+  }
+
   TEST_CASE("NFR-5 requests for events that are none are refused in words") {
     CHECK(why_refused(R"({"request":"subscribe"})").empty());
     CHECK(why_refused(R"({"request":"subscribe","version":1,"topics":["a","b/#"],"step":"1 s","from":"-10 min"})")

@@ -1,6 +1,7 @@
 #include "app/control/event_stream.hpp"
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -78,6 +79,12 @@ Result<void> set_beginning(const Json& given, StreamRequest& request) {
     }
   } else if (const auto from = parse_iso8601(text)) {
     request.from = *from;
+    return {};
+  }
+  std::int64_t ns = 0;
+  const char* const end = text.data() + text.size();
+  if (const auto read = std::from_chars(text.data(), end, ns); read.ec == std::errc{} && read.ptr == end) {
+    request.from = from_nanoseconds(ns);
     return {};
   }
   return refused("\"from\" " + given.dump(-1, ' ', false, Json::error_handler_t::replace) +
