@@ -105,12 +105,11 @@ TEST_SUITE("app") {
     account.total.published = 4177;
     CHECK(verdict(account, {}) == "nothing lost: 4177 events; ledger balances");
     account.total.late = 131;
-    CHECK(verdict(account, {}) == "nothing lost: 4177 events, 131 of them late; ledger balances");
+    CHECK(verdict(account, {}) == "nothing lost: 4177 events, 131 reads late; ledger balances");
     account.topics = {{.name = "host/cpu", .missed = 6}, {.name = "host/process", .missed = 660}};
     account.total.missed = 666;
-    CHECK(
-        verdict(account, {.has_loss = true}) ==
-        "LOST: 666 ticks missed (host/process 660, host/cpu 6); taken: 4177 events, 131 of them late; ledger balances");
+    CHECK(verdict(account, {.has_loss = true}) ==
+          "LOST: 666 ticks missed (host/process 660, host/cpu 6); taken: 4177 events, 131 reads late; ledger balances");
     account.topics.push_back({.name = "board", .failed = 1, .outages = {2, 6300ms}});
     account.topics.push_back({.name = "x", .missed = 7, .dropped = 3});
     account.topics[3].name = "gps";

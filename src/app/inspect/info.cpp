@@ -37,7 +37,7 @@ std::string table_of(const std::vector<TopicSummary>& topics) {
     };
     add(topic.failed, "failed");
     add(topic.unreadable, "unreadable");
-    add(topic.late, "late");
+    add(topic.late, topic.late == 1 ? "read late" : "reads late");
     add(topic.lost.value_or(0), "lost by the source");
     add(topic.first_lines, topic.first_lines == 1 ? "first line discarded" : "first lines discarded");
     if (topic.outages.number != 0) losses += (losses.empty() ? "" : ", ") + to_string(topic.outages);
