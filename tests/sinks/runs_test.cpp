@@ -13,6 +13,7 @@
 #include "app/core/recording_commands.hpp"
 #include "has.hpp"
 #include "recording/step.hpp"
+#include "rtdata/sensors/limit.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/power_cut.hpp"
 #include "sinks/recordings.hpp"
@@ -718,6 +719,39 @@ TEST_SUITE("sinks") {
     CHECK(told(app::remove_run, {.database = path, .run = "1"}).status == 0);
     check_good(path);
     CHECK(::umount(disk.c_str()) == 0);
+  }
+
+  TEST_CASE("NFR-5 what never gave an event is told by info and verify, and what was held back on purpose by info") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop{Loop::Manual{}};
+      const SqliteSink sink(loop, {.path = path});
+      const Feed<Number> feed(loop, {.name = "s"});
+      const LimitSensor limit(loop, {.name = "lim"}, {.on = "s", .high = 3, .silence = 0s});
+      const Sensor<Number> room(
+          loop, {.name = "room", .rate = 10_Hz, .process = {{"value", {.filters = {Filter::throttle(950ms)}}}}},
+          [] { return Number{20}; });
+      loop.advance(2s);
+      CHECK(loop.close() == 0);
+    }
+    const Told info = told(app::info, {.database = path});
+    CHECK_MESSAGE(has(info.out, "  ! no event ever came from s\n"), info.out);
+    CHECK_MESSAGE(has(info.out, "  ! no event ever came from lim\n"), info.out);
+    CHECK_MESSAGE(has(info.out, "  ! 18 held back on purpose (filtered), which is not a loss\n"), info.out);
+    CHECK_FALSE(has(info.out, "not recorded itself"));
+    const auto topics = nlohmann::json::parse(told(app::info, {.database = path, .show_as = app::ShowAs::json}).out)
+                            .at("topics");
+    REQUIRE(topics.size() == 3);
+    CHECK(topics[0]["mute"] == nlohmann::json{"lim"});
+    CHECK(topics[1]["mute"].empty());
+    CHECK(topics[1]["filtered"] == 18);
+    CHECK(topics[2]["mute"] == nlohmann::json{"s"});
+    CHECK(topics[2]["made_of_it"].empty());
+    const VerifyReport report = verified(path);
+    CHECK(report.runs[0].mute == std::vector<std::string>{"lim", "s"});
+    CHECK_MESSAGE(has(report.text(), "  nothing lost: 3 rows\n  NO EVENT ever came from lim, s\n"), report.text());
+    CHECK(nlohmann::json::parse(report.to_json())["runs"][0]["mute"] == nlohmann::json{"lim", "s"});
   }
 
   TEST_CASE("NFR-5 two runs are compared in lines of 80 columns, whatever the numbers and names are") {
