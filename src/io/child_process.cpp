@@ -8,6 +8,7 @@
 #include <stdlib.h>
 #include <sys/ioctl.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <termios.h>
@@ -166,6 +167,14 @@ class Endings {
 };
 
 }  // namespace
+
+SettingMistake mistake_in_program(const std::vector<std::string>& run) {
+  struct stat found {};
+  if (run.empty() || run.front().find('/') == std::string::npos || ::stat(run.front().c_str(), &found) != 0) return {};
+  if (S_ISDIR(found.st_mode)) return {"run", run.front() + " is a folder", "name a program"};
+  if (::faccessat(AT_FDCWD, run.front().c_str(), X_OK, AT_EACCESS) == 0) return {};
+  return {"run", run.front() + " must not be executed", "allow it with `chmod +x`, or name the program that reads it"};
+}
 
 Result<Child> start_child(const std::vector<std::string>& run, ChildPrints prints) {
   const bool prints_to_terminal = prints != ChildPrints::to_pipe, is_asked = prints == ChildPrints::answers;

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "data/setting_mistake.hpp"
 #include "rtdata/data/error.hpp"
 
 namespace rtdata::detail {
@@ -26,6 +27,10 @@ enum class ChildPrints {
 };
 /// May block: the program lies on a disk. Errors: not-found, not-permitted, and others of the system.
 Result<Child> start_child(const std::vector<std::string>& run, ChildPrints prints);
+
+/// For a path (a first word with "/") to what is there and cannot be started: a folder, or a file without the
+/// permission. What is not there may come later.
+SettingMistake mistake_in_program(const std::vector<std::string>& run);
 
 /// Sends SIGTERM to the process group, SIGKILL when the program has ended or after 2 s, and closes the descriptors. A
 /// separate thread waits for this; the end of this program waits for the thread.

@@ -4,6 +4,7 @@
 #include <array>
 
 #include "io/asked_line.hpp"
+#include "io/child_process.hpp"
 #include "io/stream_line.hpp"
 #include "io/tty.hpp"
 #include "rtdata/data/config_item.hpp"
@@ -62,6 +63,7 @@ void detail::check_place(const SerialPortConfig& config, const char* keys, const
       if (const ConfigItem* const at = item.find(key))
         problems.add(at->problem("bad-value", "it works only with a serial `device`: remove it"));
   add_mistake(mistake, item, problems, "missing-key");
+  if (!mistake) add_mistake(mistake_in_program(config.run), item, problems);
 }
 
 void check_config(const SerialSettings& settings, const ConfigItem& item, Problems& problems) {

@@ -48,6 +48,7 @@ void check_config(const CommandActuatorConfig& config, const ConfigItem& item, P
   detail::check_words(config.words, item, problems);
   const auto refuse = [&](const char* why) { detail::add_mistake({"run", why}, item, problems); };
   if (config.run.empty() || config.run.front().empty()) return refuse("there is no program");
+  detail::add_mistake(detail::mistake_in_program(config.run), item, problems);
   if (std::none_of(config.run.begin() + 1, config.run.end(), detail::has_value_mark))
     refuse("every value would run the same command: write {value} into an argument");
 }

@@ -85,6 +85,7 @@ std::vector<std::string> account_lines(const RunReport& run) {
   if (run.losses.empty())
     lines.insert(lines.begin(), std::string(run.not_known.empty() ? "nothing lost: " : "nothing lost that is known: ") +
                                     counted(run.rows, "row"));
+  if (!run.mute.empty()) lines.push_back("NO EVENT ever came from " + first_names(run.mute, 8));
   return lines;
 }
 

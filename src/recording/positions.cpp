@@ -94,11 +94,13 @@ void Positions::begin_run(std::int64_t run) {
   run_ = run;
 }
 
-void Positions::set_last_row(const std::string& table, const std::string& topic, std::int64_t row) {
+void Positions::set_last_row(const std::string& table, const std::string& topic, std::int64_t row,
+                             std::size_t payload_bytes) {
   const std::lock_guard lock(mutex_);
   Committed& committed = last_rows_[table];
   if (committed.topic.empty()) committed.topic = topic;
   committed.last_row = row;
+  committed.payload_bytes = payload_bytes;
 }
 
 void Positions::set_deleted_to(const std::string& table, const std::string& topic, std::int64_t row) {

@@ -103,7 +103,8 @@ class Positions {
   struct Committed {
     std::string topic;
     std::int64_t last_row = 0;
-    std::int64_t deleted_to = 0;  ///< the last row that a limit deleted, with all before it; 0: none
+    std::size_t payload_bytes = 0;  ///< of a row
+    std::int64_t deleted_to = 0;    ///< the last row that a limit deleted, with all before it; 0: none
   };
   /// By table; those whose rows have changed since it was opened.
   std::map<std::string, Committed> last_rows() const;
@@ -116,7 +117,7 @@ class Positions {
   /// Limits the bytes of the keys of refused rows: older ones are only counted. 0: no limit.
   void limit_refusals(std::uint64_t bytes) noexcept { most_refused_bytes_ = static_cast<std::int64_t>(bytes); }
   void begin_run(std::int64_t run);
-  void set_last_row(const std::string& table, const std::string& topic, std::int64_t row);
+  void set_last_row(const std::string& table, const std::string& topic, std::int64_t row, std::size_t payload_bytes);
   void set_deleted_to(const std::string& table, const std::string& topic, std::int64_t row);
   /// Calls these functions; returns their texts.
   std::vector<std::string> end();

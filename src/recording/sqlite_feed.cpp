@@ -71,7 +71,7 @@ void SqliteFeed::look() {
       }
     }
     topics_known_ = count;
-    rows_of_new_tables_ = removed_of_new_tables_ = 0;
+    rows_of_new_tables_ = removed_of_new_tables_ = bytes_of_new_tables_ = 0;
   }
   is_new_ = false;  // tables that are made from now on are new themselves
   topics_before_.clear();
@@ -381,7 +381,7 @@ void SqliteFeed::settled(std::size_t rows) noexcept {
 }
 
 void SqliteFeed::note_committed() {
-  rows_of_new_tables_ = removed_of_new_tables_ = 0;
+  rows_of_new_tables_ = removed_of_new_tables_ = bytes_of_new_tables_ = 0;
   for (const auto& [name, committed] : positions_->last_rows()) {
     const auto known = std::find_if(tables_.begin(), tables_.end(),
                                     [&name = name](const Table& table) { return table.topic.table == name; });
@@ -391,8 +391,11 @@ void SqliteFeed::note_committed() {
       if (committed.last_row != seen.last_row) known->last_row = std::max(known->last_row, committed.last_row);
       if (committed.deleted_to != seen.deleted_to) count_deleted(*known, committed.deleted_to);
     } else if (is_wanted(committed.topic)) {
-      rows_of_new_tables_ += static_cast<std::uint64_t>(committed.last_row);
-      removed_of_new_tables_ += static_cast<std::uint64_t>(std::min(committed.deleted_to, committed.last_row));
+      const auto rows = static_cast<std::uint64_t>(committed.last_row);
+      const auto removed = static_cast<std::uint64_t>(std::min(committed.deleted_to, committed.last_row));
+      rows_of_new_tables_ += rows;
+      removed_of_new_tables_ += removed;
+      bytes_of_new_tables_ += (rows - removed) * committed.payload_bytes;
     }
   }
   update_counts();
@@ -414,7 +417,8 @@ void SqliteFeed::forget() noexcept {
 }
 
 void SqliteFeed::update_counts() noexcept {
-  std::uint64_t offered = rows_of_new_tables_, backlog = rows_of_new_tables_ - removed_of_new_tables_, bytes = 0;
+  std::uint64_t offered = rows_of_new_tables_, backlog = rows_of_new_tables_ - removed_of_new_tables_;
+  std::uint64_t bytes = bytes_of_new_tables_;
   if (has_rows_in_queue()) oldest_.store(marks_[settled_].time, std::memory_order_relaxed);
   for (const Table& table : tables_) {
     offered += static_cast<std::uint64_t>(table.last_row - table.begin);

@@ -112,7 +112,8 @@ class SqliteFeed final : public detail::RowFeed {
   std::size_t next_table_ = 0;
   std::map<std::int64_t, Run> runs_;
   std::map<std::string, std::uint32_t> topic_numbers_;
-  std::uint64_t rows_of_new_tables_ = 0;  // rows that the feed has not looked at yet
+  std::uint64_t rows_of_new_tables_ = 0;   // rows that the feed has not looked at yet
+  std::uint64_t bytes_of_new_tables_ = 0;  // of those of them that wait
   std::int64_t topics_known_ = 0;
   std::int64_t clock_pairs_ = -1;  // rows of rtdata_clock when the lines of UTC were made
   bool has_looked_ = false;

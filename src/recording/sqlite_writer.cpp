@@ -282,7 +282,8 @@ void SqliteWriter::committed() {
   if (has_feeds_.load(std::memory_order_relaxed)) {
     for (const Pruner::Deleted& rows : deleted) positions_->set_deleted_to(rows.table, rows.topic, rows.up_to);
     for (const auto& table : tables_)
-      if (table != nullptr) positions_->set_last_row(table->name(), table->topic(), table->last_rowid());
+      if (table != nullptr)
+        positions_->set_last_row(table->name(), table->topic(), table->last_rowid(), table->payload_bytes());
   }
   log_bytes_ = std::max<std::int64_t>(log_size(), 0);
 }

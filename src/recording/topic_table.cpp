@@ -205,6 +205,7 @@ TopicTable TopicTable::prepare(Database& database, const SlotInfo& slot, std::in
   table.no_utf8_ = &no_utf8;
   table.name_ = name;
   table.topic_ = slot.topic;
+  table.payload_bytes_ = description.size();
   table.run_ = run;
   auto order = leaves_in_order(database, name, description);
   if (!widen.empty()) StepTables::add_columns(database, name, order);

@@ -40,6 +40,7 @@ class TopicTable {
   std::int64_t last_rowid() const noexcept { return last_rowid_; }
   const std::string& name() const noexcept { return name_; }
   const std::string& topic() const noexcept { return topic_; }
+  std::size_t payload_bytes() const noexcept { return payload_bytes_; }
 
  private:
   struct Column {
@@ -60,6 +61,7 @@ class TopicTable {
   detail::EscapedTexts* no_utf8_ = nullptr;
   std::string name_;
   std::string topic_;
+  std::size_t payload_bytes_ = 0;
   std::vector<Column> columns_;  // in the order of the table's
   std::int64_t run_ = 0;
   RowHash hash_;

@@ -326,11 +326,15 @@ void read_account(const OfRun& of_run, RunReport& report) {
   report.gaps = of_run.gaps.size();
   std::map<std::string, TopicLoss> by_topic;
   std::set<std::string> not_detectable;
+  const auto unrecorded = made_of_unrecorded(of_run.ledger);
   for (const LedgerEntry& entry : of_run.ledger) {
     add_up(report, entry);
     const auto& gaps = of_run.gaps_in(origin_key(entry.topic, entry.origin));
     const SensorCounts& s = entry.sensor;
     const Outages outages = s.has_schedule ? Outages{} : outages_of(gaps);
+    // Of a topic that is not recorded itself, `filtered` has the events.
+    const bool has_event = s.published + entry.offered != 0 || (s.filtered != 0 && unrecorded.contains(entry.topic));
+    if (!has_event && !entry.topic.starts_with('$')) report.mute.push_back(entry.origin);
     if (outages.number != 0) report.outages.push_back({entry.topic, entry.origin, outages, gaps.size()});
     if (!s.has_schedule && !s.lost_is_known && s.published + s.repeated + s.filtered != 0)
       not_detectable.insert(entry.topic);
@@ -341,7 +345,6 @@ void read_account(const OfRun& of_run, RunReport& report) {
   }
   std::stable_sort(report.outages.begin(), report.outages.end(),
                    [](const auto& a, const auto& b) { return a.outages.time > b.outages.time; });
-  const auto unrecorded = made_of_unrecorded(of_run.ledger);
   for (auto& [topic, loss] : by_topic) {
     if (const auto made = unrecorded.find(topic); made != unrecorded.end()) loss.made_of_it = made->second;
     report.losses.push_back(std::move(loss));
@@ -446,14 +449,15 @@ void verify_run(const OfRun& of_run, const RunRows& run_rows, RunReport& report)
 
 std::map<std::string, std::vector<std::string>> made_of_unrecorded(const std::vector<LedgerEntry>& ledger) {
   std::map<std::string, std::set<std::string>> made_of_it;
-  std::map<std::string, std::uint64_t> offered;
+  std::map<std::string, std::uint64_t> offered, not_taken;
   for (const LedgerEntry& entry : ledger) {
     offered[entry.topic] += entry.offered;
+    not_taken[entry.topic] += entry.sensor.filtered;
     for (const std::string& source : entry.made_of) made_of_it[source].insert(entry.topic);
   }
   std::map<std::string, std::vector<std::string>> unrecorded;
   for (const auto& [source, direct] : made_of_it) {
-    if (offered[source] != 0) continue;
+    if (offered[source] != 0 || not_taken[source] == 0) continue;  // recorded, or it had no event
     std::set<std::string> all(direct);
     for (std::vector<std::string> next(direct.begin(), direct.end()); !next.empty();) {
       const auto further = made_of_it.find(next.back());

@@ -117,6 +117,7 @@ nlohmann::ordered_json json_of(const RunReport& run) {
   json["lines"] = run.lines;
   json["not_known"] = run.not_known;
   json["not_detectable"] = run.not_detectable;
+  json["mute"] = run.mute;
   json["lost_by_source"] = run.lost_by_source ? nlohmann::ordered_json(*run.lost_by_source) : nlohmann::ordered_json();
   json["problems"] = run.problems;
   json["more_problems"] = run.more_problems;

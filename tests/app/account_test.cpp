@@ -105,12 +105,11 @@ TEST_SUITE("app") {
     account.total.published = 4177;
     CHECK(verdict(account, {}) == "nothing lost: 4177 events; ledger balances");
     account.total.late = 131;
-    CHECK(verdict(account, {}) == "nothing lost: 4177 events, 131 of them late; ledger balances");
+    CHECK(verdict(account, {}) == "nothing lost: 4177 events, 131 reads late; ledger balances");
     account.topics = {{.name = "host/cpu", .missed = 6}, {.name = "host/process", .missed = 660}};
     account.total.missed = 666;
-    CHECK(
-        verdict(account, {.has_loss = true}) ==
-        "LOST: 666 ticks missed (host/process 660, host/cpu 6); taken: 4177 events, 131 of them late; ledger balances");
+    CHECK(verdict(account, {.has_loss = true}) ==
+          "LOST: 666 ticks missed (host/process 660, host/cpu 6); taken: 4177 events, 131 reads late; ledger balances");
     account.topics.push_back({.name = "board", .failed = 1, .outages = {2, 6300ms}});
     account.topics.push_back({.name = "x", .missed = 7, .dropped = 3});
     account.topics[3].name = "gps";
@@ -229,6 +228,29 @@ TEST_SUITE("app") {
     sensors[1].stop();
     loop.advance(60s);
     CHECK(has(frame(60), "s101           main       2.0 Hz     0.0 Hz"));
+  }
+
+  TEST_CASE("top shows the rate at which a sensor is read whose filters hold most of it back") {
+    Loop loop{Loop::Manual{}};
+    app::StatusSource source(loop, {.name = "rig", .configuration = "rig.json"});
+    unsigned reads = 0;
+    const auto made = [&](const char* name, std::vector<Filter> filters) {
+      return Sensor<Number>(loop,
+                            {.name = name, .rate = 20_Hz, .process = {{"value", {.filters = std::move(filters)}}}},
+                            [&reads] { return Number{static_cast<double>(++reads / 60)}; });
+    };
+    const Sensor<Number> throttled = made("throttled", {Filter::throttle(900ms)}),
+                         changed = made("changed", {Filter::delta(1)});
+    for (int i = 0; i < 40; ++i) {
+      loop.advance(i % 2 == 0 ? 330ms : 410ms);
+      const app::Status status = source.take(0);
+      if (i < 4) continue;
+      for (const app::Status::Sensor& sensor : status.sensors) {
+        REQUIRE(sensor.reached_hz);
+        CHECK_MESSAGE(*sensor.reached_hz > 19.5, sensor.name);
+        CHECK_MESSAGE(*sensor.reached_hz < 20.5, sensor.name);
+      }
+    }
   }
 
   TEST_CASE("a table that is too wide gives long names a line of their own") {

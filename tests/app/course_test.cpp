@@ -38,6 +38,7 @@ TEST_SUITE("app") {
         board.publish({61.5, 1});
         loop.advance(1s);
         commands.publish({"note it is hot", "uid 7", true, "noted"});
+        commands.publish({"note too long", "uid 7", false, "it has 265 bytes, more than 240"});
         commands.publish({"ack heat", "uid 7", true, "done"});
         machine.raise("knock");
         loop.advance(1s);
@@ -57,11 +58,13 @@ TEST_SUITE("app") {
               "\nchanges of state in run 1\n  2023-11-14T22:13:20Z door: shut (start)\n"
               "  2023-11-14T22:13:22Z door: shut -> open (somebody)\n"));
     CHECK_FALSE(has(text, "ack heat"));
+    CHECK_FALSE(has(text, "too long"));
 
     out.str("");
     CHECK(app::info({.database = path, .run = "1", .show_as = app::ShowAs::json}, out, err) == 0);
     const auto json = nlohmann::json::parse(out.str());
     REQUIRE(json["notes"].size() == 1);
+    CHECK(json["notes_count"] == 1);
     CHECK(json["notes"][0]["text"] == "it is hot");
     CHECK(json["notes"][0]["by"] == "uid 7");
     REQUIRE(json["states"].size() == 2);

@@ -34,6 +34,14 @@ struct RoomReading {
   }
 };
 
+/// As another run has it.
+struct OtherReading {
+  double value = 0;
+  friend constexpr auto describe(type_tag<OtherReading>) {
+    return record("reading", field("value", &OtherReading::value, "K"));
+  }
+};
+
 /// A stream, fed by hand.
 struct Fed {
   explicit Fed(const std::string& request) : stream(stream_request(request).or_throw(), "0-0", "") {}
@@ -90,6 +98,31 @@ TEST_SUITE("app") {
     CHECK(lines[2] == json::parse(R"({"topic":"room/a","time":1700000000000000000,"origin":"o","sequence":7,
                                       "data":{"value":21.5,"remark":"ok","count":3}})"));
     CHECK(lines[3]["data"] == json::parse(R"({"value":22,"remark":"","count":null})"));
+  }
+
+  TEST_CASE("NFR-5 a stream tells units again when they are others: in another run, live, after a reload") {
+    for (const char* const request : {R"({"request":"subscribe"})", R"({"request":"subscribe","step":"1 s"})"}) {
+      Fed fed(request);
+      fed.stream.begin_run("1-1");
+      fed.give("room/a", at(0s), 1, OtherReading{294.5});
+      fed.give("room/a", at(1s), 2, OtherReading{294.5}, "b");
+      fed.stream.begin_run("2-2");
+      fed.give("room/a", at(2s), 1, OtherReading{294.5});
+      fed.stream.begin_run("3-3");
+      fed.give("room/a", at(3s), 1, RoomReading{21.5, "ok", 3});
+      fed.stream.go_live(at(4s));
+      fed.give("room/a", at(4s), 2, RoomReading{21.5, "ok", 3});
+      fed.give("room/a", at(5s), 3, OtherReading{294.5});
+      fed.stream.end("ended", "");
+      std::string said;
+      for (const json& line : fed.lines()) {
+        if (line.contains("units")) said += line["units"]["value"].get<std::string>() + " ";
+        if (line.contains("data")) said += line["data"]["value"].is_object() ? "step " : "event ";
+      }
+      const std::string one = json::parse(request).contains("step") ? "step " : "event ";
+      // Steps of two origins come in another order, not in other units.
+      CHECK_MESSAGE(has(said, "K " + one + one + one + "Cel " + one + one + "K " + one), said);
+    }
   }
 
   TEST_CASE("NFR-5 a stream has NaN, infinity, and texts with quotes, umlauts and bytes that are no UTF-8") {
@@ -273,6 +306,14 @@ TEST_SUITE("app") {
     CHECK(lines[0] == json({{"now", to_nanoseconds(at(1s))}}));
   }
 
+  TEST_CASE("NFR-5 a stream begins at ns since 1970, as a number or as its text") {
+    for (const char* const from : {"1700000000000000000", "\"1700000000000000000\""}) {
+      const auto made = stream_request(std::string(R"({"request":"subscribe","from":)") + from + "}");
+      REQUIRE(made);
+      CHECK(made->from == at(0s));
+    }
+  }
+
   TEST_CASE("NFR-5 requests for events that are none are refused in words") {
     CHECK(why_refused(R"({"request":"subscribe"})").empty());
     CHECK(why_refused(R"({"request":"subscribe","version":1,"topics":["a","b/#"],"step":"1 s","from":"-10 min"})")
@@ -410,5 +451,9 @@ TEST_SUITE("app") {
                 "version":1})",
                                 R"({"run":"x"})", R"({"topic":1,"data":2})", R"({"units":3,"of":4})"})
       CHECK(printer.text(nothing).empty());
+    printer.text(R"({"units":{"value":"1"},"of":"room/a"})");  // of another run
+    CHECK(
+        printer.text(R"({"topic":"room/a","time":1700000002000000000,"origin":"a","sequence":1,"data":{"value":3}})") ==
+        "22:13:22.000 room/a value=3\n");
   }
 }

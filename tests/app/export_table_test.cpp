@@ -33,6 +33,11 @@ struct Air {
   RTDATA_FIELDS(Air, (pressure, "hPa"), (height, "m"), (count), (humidity, "%RH"), (note))
 };
 
+struct OtherAir {
+  double pressure = 0;
+  RTDATA_FIELDS(OtherAir, (pressure, "bar"))
+};
+
 struct Place {
   double latitude = 0;
   std::optional<std::int64_t> satellites = {};
@@ -124,6 +129,35 @@ TEST_SUITE("app") {
     // Places are put beside air as well.
     CHECK(has(table({.database = path, .topic = "gps/fix", .run = "1", .join = {"air"}}),
               "\n1000200000000,gps,2,52.5,,1e+300,2,3,,c\n"));
+  }
+
+  TEST_CASE("export: a table has the topics, fields and units of the chosen run, whatever other runs have") {
+    const Folder folder;
+    const std::string path = make(folder);
+    {
+      Loop loop{Loop::Manual{}};
+      Feed<OtherAir> air(loop, {.name = "baro", .topic = "air"});
+      Feed<Place> place(loop, {.name = "gps", .topic = "gps/fix"});
+      SqliteSink sink(loop, {.path = path});
+      air.publish({1.25}, Time{1000s});
+      place.publish({.latitude = 1}, Time{1001s});
+      CHECK(loop.close() == 0);
+    }
+    {
+      Loop loop{Loop::Manual{}};
+      Feed<OtherAir> air(loop, {.name = "baro", .topic = "air"});
+      SqliteSink sink(loop, {.path = path});
+      air.publish({1.25}, Time{1000s});
+      CHECK(loop.close() == 0);
+    }
+    constexpr auto units = app::ExportOptions::Header::names_and_units;
+    CHECK(table({.database = path, .topic = "air", .run = "2", .header = units, .digits = 1, .time = "seconds"}) ==
+          "seconds [s],origin,sequence,pressure [bar]\n0,baro,1,1.2\n");
+    CHECK(table({.database = path, .topic = "gps/fix", .run = "2", .header = units, .join = {"air"}}) ==
+          "time [ns],origin,sequence,latitude [deg],satellites,air.pressure [bar]\n1001000000000,gps,1,1,,1.25\n");
+    CHECK(has(table({.database = path, .run = "3", .digits = 2}), "\n1000000000000,baro,1,1.25\n"));
+    CHECK(has(table({.database = path, .topic = "air", .digits = 1}, 1),
+              "the unit of air.pressure changed: choose a run in which it has one unit by --run"));
   }
 
   TEST_CASE("export: options of tables that do not go together are refused, before anything is written") {

@@ -107,6 +107,18 @@ TEST_SUITE("app") {
     CHECK(has(first.out, "1795665132554291438,ms,3,3\n"));
   }
 
+  TEST_CASE("import: a column of numbers that no type holds exactly is text, which is said") {
+    const Folder folder;
+    folder.write("t.csv", "t,v,w\n0,0.5,1\n1,9007199254740993,2\n");
+    Process mixed(folder, program, {"import", "t.csv", "--time", "t", "--scale", "1s"});
+    CHECK(mixed.end() == 0);
+    CHECK_MESSAGE(has(mixed.err,
+                      "rtdata: warning: column v is text: no type of number holds all of its values exactly, such as "
+                      "9007199254740993 in line 3\n"),
+                  mixed.err);
+    CHECK_FALSE(has(mixed.err, "column w"));
+  }
+
   TEST_CASE("import: units of headings have brackets of their own") {
     const Folder folder;
     folder.write("x.csv",

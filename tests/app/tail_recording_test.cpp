@@ -18,6 +18,19 @@ using Json = nlohmann::json;
 
 namespace {
 
+struct InPascal {
+  double value = 0;
+  RTDATA_FIELDS(InPascal, (value, "Pa"))
+};
+struct InBar {
+  double value = 0;
+  RTDATA_FIELDS(InBar, (value, "bar"))
+};
+struct WithoutUnit {
+  double value = 0;
+  RTDATA_FIELDS(WithoutUnit, (value, ""))
+};
+
 struct Shown {
   int status;
   std::string out, err;
@@ -98,6 +111,24 @@ TEST_SUITE("app") {
     CHECK(events == 999);
     CHECK(lost == 6);
     CHECK(health == "room degraded\nroom ok\nmain degraded\n");
+  }
+
+  TEST_CASE("FW-5 tail: values have the units of their run") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    const auto record = [&]<class Payload>(const Payload& value) {
+      Loop loop{Loop::Manual{}};
+      const SqliteSink sink(loop, {.path = path});
+      Feed<Payload>(loop, {.name = "air"}).publish(value);
+      CHECK(loop.close() == 0);
+    };
+    record(InPascal{100'000});
+    record(InBar{1});
+    record(WithoutUnit{1});
+    CHECK(listed({.database = path, .part = {.run = "1"}}).out.ends_with(" air value=100000 Pa\n"));
+    CHECK(listed({.database = path, .part = {.run = "1"}, .step = "1s"}).out.ends_with(" (100000 to 100000) Pa\n"));
+    CHECK(listed({.database = path, .part = {.run = "2"}}).out.ends_with(" air value=1 bar\n"));
+    CHECK(listed({.database = path, .part = {.run = "3"}}).out.ends_with(" air value=1\n"));
   }
 
   TEST_CASE("FW-5 tail: steps of a recording have all of its events") {

@@ -8,7 +8,9 @@
 #include <vector>
 
 #include "has.hpp"
+#include "rtdata/config/format.hpp"
 #include "rtdata/data/event.hpp"
+#include "rtdata/outputs/command.hpp"
 #include "rtdata/sensors/command.hpp"
 #include "sensors/fixture.hpp"
 #include "sensors/termios2.hpp"
@@ -104,6 +106,18 @@ TEST_SUITE("sensors" * doctest::skip(!terminals_can_be_set_up())) {
     CHECK(has(errors.front(), "not a line of shell commands"));
     CHECK(sensor.health() == Health::faulted);
     CHECK_THROWS_AS(CommandSensor(loop, {.name = "d"}, {.lines = {.fields = {{.name = "v"}}}}), SetupError);
+  }
+
+  TEST_CASE("US-17 a program that is there and cannot be started is a mistake in the configuration") {
+    for (const char* const run : {"/", "/etc/passwd"}) {
+      CommandConfig config{.run = {run, "{value}"}, .lines = {.fields = {{.name = "v"}}}};
+      const ConfigItem item = parse_config(R"({"run": []})", "f.json").root;
+      Problems problems;
+      check_config(config, item, problems);
+      CHECK_MESSAGE(problems.size() == 1, problems.text());
+      check_config(CommandActuatorConfig{.run = config.run}, item, problems);
+      CHECK_MESSAGE(problems.size() == 2, problems.text());
+    }
   }
 
   TEST_CASE("US-9 a program ends with its sensor, with all that it has started, and inherits nothing") {

@@ -6,12 +6,14 @@
 
 #include <csignal>
 #include <fstream>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
 #include "app/core/recording_commands.hpp"
 #include "has.hpp"
 #include "recording/step.hpp"
+#include "rtdata/sensors/limit.hpp"
 #include "sinks/killed.hpp"
 #include "sinks/power_cut.hpp"
 #include "sinks/recordings.hpp"
@@ -32,6 +34,11 @@ namespace {
 struct Number {
   double value = 0;
   RTDATA_FIELDS(Number, (value, "V"))
+};
+struct Pressure {
+  double value = 0;
+  std::int64_t count = 0;
+  RTDATA_FIELDS(Pressure, (value, "kPa"), (count, ""))
 };
 struct LongNames {
   double a_name_that_is_as_long_as_names_of_machines_are = 0, b = 0;
@@ -714,6 +721,39 @@ TEST_SUITE("sinks") {
     CHECK(::umount(disk.c_str()) == 0);
   }
 
+  TEST_CASE("NFR-5 what never gave an event is told by info and verify, and what was held back on purpose by info") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    {
+      Loop loop{Loop::Manual{}};
+      const SqliteSink sink(loop, {.path = path});
+      const Feed<Number> feed(loop, {.name = "s"});
+      const LimitSensor limit(loop, {.name = "lim"}, {.on = "s", .high = 3, .silence = 0s});
+      const Sensor<Number> room(
+          loop, {.name = "room", .rate = 10_Hz, .process = {{"value", {.filters = {Filter::throttle(950ms)}}}}},
+          [] { return Number{20}; });
+      loop.advance(2s);
+      CHECK(loop.close() == 0);
+    }
+    const Told info = told(app::info, {.database = path});
+    CHECK_MESSAGE(has(info.out, "  ! no event ever came from s\n"), info.out);
+    CHECK_MESSAGE(has(info.out, "  ! no event ever came from lim\n"), info.out);
+    CHECK_MESSAGE(has(info.out, "  ! 18 held back on purpose (filtered), which is not a loss\n"), info.out);
+    CHECK_FALSE(has(info.out, "not recorded itself"));
+    const auto topics = nlohmann::json::parse(told(app::info, {.database = path, .show_as = app::ShowAs::json}).out)
+                            .at("topics");
+    REQUIRE(topics.size() == 3);
+    CHECK(topics[0]["mute"] == nlohmann::json{"lim"});
+    CHECK(topics[1]["mute"].empty());
+    CHECK(topics[1]["filtered"] == 18);
+    CHECK(topics[2]["mute"] == nlohmann::json{"s"});
+    CHECK(topics[2]["made_of_it"].empty());
+    const VerifyReport report = verified(path);
+    CHECK(report.runs[0].mute == std::vector<std::string>{"lim", "s"});
+    CHECK_MESSAGE(has(report.text(), "  nothing lost: 3 rows\n  NO EVENT ever came from lim, s\n"), report.text());
+    CHECK(nlohmann::json::parse(report.to_json())["runs"][0]["mute"] == nlohmann::json{"lim", "s"});
+  }
+
   TEST_CASE("NFR-5 two runs are compared in lines of 80 columns, whatever the numbers and names are") {
     const Folder folder;
     const std::string path = folder / "run.db";
@@ -727,8 +767,8 @@ TEST_SUITE("sinks") {
     const Told both = told(app::compare, {.database = path, .first = "1", .second = "2"});
     std::istringstream lines(both.out);
     for (std::string line; std::getline(lines, line);) CHECK_MESSAGE(line.size() <= 80, line);
-    CHECK_MESSAGE(has(both.out, " 1:  -9.8765e+250   4.25e+307     1.7e+308\n"), both.out);
-    CHECK_MESSAGE(has(both.out, " 2:     -1.7e+308  -4.25e+307  1.2346e-200\n"), both.out);
+    CHECK_MESSAGE(has(both.out, " 1:  -9.877e+250   4.25e+307    1.7e+308\n"), both.out);
+    CHECK_MESSAGE(has(both.out, " 2:    -1.7e+308  -4.25e+307  1.235e-200\n"), both.out);
   }
 
   TEST_CASE("NFR-5 two runs are compared from an instant of each") {
@@ -785,6 +825,47 @@ TEST_SUITE("sinks") {
     CHECK(has(compared("", "", "hod").err, "did you mean \"hot\"?"));
     CHECK(compared("", "", "hod").status == 1);
     CHECK(told(app::compare, {.database = folder / "none.db", .first = "1", .second = "2"}).status == 2);
+  }
+
+  TEST_CASE("NFR-5 two runs are compared in the unit of each, with the digits in which they differ") {
+    const Folder folder;
+    const std::string path = folder / "run.db";
+    const auto record = [&]<class Payload>(std::initializer_list<Payload> values) {
+      Loop loop{Loop::Manual{}};
+      const SqliteSink sink(loop, {.path = path});
+      Feed<Payload> feed(loop, {.name = "p"});
+      for (const Payload& value : values) feed.publish(value);
+      CHECK(loop.close() == 0);
+    };
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    record(std::initializer_list<Pressure>{{100001, 1234567}, {100002, 1234567}});
+    record(std::initializer_list<Pressure>{{100004, 1234567}, {100005, 1234569}});
+    record(std::initializer_list<Number>{{1.5}, {-infinity}, {infinity}});
+    const Told close = told(app::compare, {.database = path, .first = "1", .second = "2"});
+    CHECK_MESSAGE(has(close.out,
+                      "  field              least      mean  largest\n"
+                      "  value [kPa]  1:   100001  100001.5   100002\n"
+                      "               2:   100004  100004.5   100005\n"
+                      "  count        1:  1234567   1234567  1234567\n"
+                      "               2:  1234567   1234568  1234569\n"),
+                  close.out);
+    const Told units = told(app::compare, {.database = path, .first = "1", .second = "3"});
+    CHECK_MESSAGE(has(units.out,
+                      "  value [kPa]  1:   100001  100001.5   100002\n"
+                      "               2:        -         -        -\n"
+                      "  value [V]    1:        -         -        -\n"
+                      "               2:     -inf       nan      inf\n"),
+                  units.out);
+    const auto json = nlohmann::json::parse(
+        told(app::compare, {.database = path, .first = "1", .second = "3", .show_as = app::ShowAs::json}).out);
+    const auto& fields = json["topics"][0]["fields"];
+    REQUIRE(fields.size() == 3);
+    CHECK(fields[0]["unit"] == "kPa");
+    CHECK(fields[0]["count"] == nlohmann::json::parse("[2, 0]"));
+    CHECK(fields[1]["unit"] == "V");
+    CHECK(fields[1]["min"] == nlohmann::json::parse(R"([null, "-Infinity"])"));
+    CHECK(fields[1]["mean"] == nlohmann::json::parse(R"([null, "NaN"])"));
+    CHECK(fields[1]["max"] == nlohmann::json::parse(R"([null, "Infinity"])"));
   }
 
   TEST_CASE("NFR-5 two runs are compared with what a topic lost in a run without an event of it") {

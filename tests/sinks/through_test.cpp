@@ -228,7 +228,7 @@ TEST_SUITE("sinks") {
       const auto backlog = run.sink.status().backlog;
       REQUIRE(backlog);
       CHECK(run.sink.counts().queued == 400);
-      CHECK(backlog->bytes == 300 * sizeof(Number));  // of "b" it knows no more than the number, while it waits
+      CHECK(backlog->bytes == 400 * sizeof(Number));  // also those of "b", at whose table it looks when it goes on
       CHECK(backlog->age >= 69s);
       CHECK(backlog->age <= 71s);
       CHECK_FALSE(backlog->catch_up);  // it is away

@@ -90,6 +90,7 @@ struct RunReport {
   std::vector<std::string> not_known;  ///< data for which a loss is unknown; empty: all is known
   /// Topics with a source that has no schedule and no numbers: its own losses cannot be detected.
   std::vector<std::string> not_detectable;
+  std::vector<std::string> mute;  ///< origins from which no event ever came; topics of "$" are not among them
   /// The losses and unknowns as lines of text, also shown by `rtdata run` at its end. At least one line.
   std::vector<std::string> lines;
   std::vector<std::string> problems;  ///< a sentence each; the first 100

@@ -236,7 +236,7 @@ std::string verdict(const Status& status, const Ending& ending) {
                                 : "nothing lost that is known: ")
                          : "LOST: " + losses + "; taken: ";
   text += std::to_string(all.published) + (all.published == 1 ? " event" : " events");
-  if (all.late > 0) text += ", " + std::to_string(all.late) + " of them late";
+  if (all.late > 0) text += ", " + std::to_string(all.late) + (all.late == 1 ? " read late" : " reads late");
   if (status.waiting > 0)
     text += "; " + std::to_string(status.waiting) + (status.waiting == 1 ? " waits" : " wait") +
             " in a recording to be sent";

@@ -1,6 +1,7 @@
 #include "app/control/event_stream.hpp"
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -78,6 +79,12 @@ Result<void> set_beginning(const Json& given, StreamRequest& request) {
     }
   } else if (const auto from = parse_iso8601(text)) {
     request.from = *from;
+    return {};
+  }
+  std::int64_t ns = 0;
+  const char* const end = text.data() + text.size();
+  if (const auto read = std::from_chars(text.data(), end, ns); read.ec == std::errc{} && read.ptr == end) {
+    request.from = from_nanoseconds(ns);
     return {};
   }
   return refused("\"from\" " + given.dump(-1, ' ', false, Json::error_handler_t::replace) +
@@ -269,12 +276,14 @@ void EventStream::begin_run(std::string_view uuid) {
   for (State& state : states_) {
     if (!state.step.is_empty()) give_step(state);
     state.last = 0;
+    state.told = nullptr;
   }
   text_ += Json{{"run", uuid}}.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
 void EventStream::go_live(Time now) {
   is_live_ = true;
+  for (State& state : states_) state.told = nullptr;  // descriptions of another source follow
   text_ += Json{{"live", to_nanoseconds(now)}}.dump() + "\n";
 }
 
@@ -315,12 +324,14 @@ void EventStream::take(const PackedEvent& event, const StreamOrigin& origin, Eve
 }
 
 void EventStream::tell_units(State& state, const Description& description) {
-  if (std::exchange(state.has_units, true)) return;
-  if (!units_told_.insert(state.origin->quoted_topic).second) return;
+  if (std::exchange(state.told, &description) == &description) return;
   Json units = Json::object();
   for (const Leaf& leaf : description.leaves()) units[leaf.path] = leaf.unit;
-  text_ += "{\"units\":" + units.dump(-1, ' ', false, Json::error_handler_t::replace) +
-           ",\"of\":" + state.origin->quoted_topic + "}\n";
+  std::string text = units.dump(-1, ' ', false, Json::error_handler_t::replace);
+  std::string& last = units_told_[state.origin->quoted_topic];
+  if (text == last) return;
+  last = std::move(text);
+  text_ += "{\"units\":" + last + ",\"of\":" + state.origin->quoted_topic + "}\n";
 }
 
 void EventStream::drop(const StreamOrigin& origin, std::uint64_t count) {

@@ -6,7 +6,6 @@
 #include <map>
 #include <memory>
 #include <optional>
-#include <set>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -139,8 +138,8 @@ class EventStream {
   struct State {
     bool is_known = false;  // the two below
     bool is_taken = false;
-    bool has_units = false;  // they were sent
-    std::uint64_t last = 0;  // last sequence that was sent, summed up or counted as dropped; 0: none
+    std::uint64_t last = 0;             // last sequence that was sent, summed up or counted as dropped; 0: none
+    const Description* told = nullptr;  // that with whose units its topic was told last, in this run
     StepSums step;
     StepSums held;  // of the dropped events
     const StreamOrigin* origin = nullptr;
@@ -156,8 +155,8 @@ class EventStream {
   void look_whether_behind() noexcept { is_behind_ = is_behind_ || text_.size() - sent_ > most_bytes; }
 
   const StreamRequest request_;
-  std::vector<State> states_;         // by index of the origin
-  std::set<std::string> units_told_;  // quoted topics
+  std::vector<State> states_;                      // by index of the origin
+  std::map<std::string, std::string> units_told_;  // by quoted topic: the last
   std::string text_;
   std::size_t sent_ = 0;
   bool is_live_ = true;

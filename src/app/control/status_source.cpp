@@ -167,6 +167,16 @@ Status StatusSource::take(std::uint64_t client) {
   return status;
 }
 
+MonotonicTime StatusSource::last_reading(Seen& seen, std::uint64_t readings, MonotonicTime taken) const {
+  const bool is_each_an_event = readings - std::exchange(seen.readings_taken, readings) ==
+                                seen.events - std::exchange(seen.events_taken, seen.events);
+  if (is_each_an_event && seen.came_at > taken) return seen.came_at;
+  // Filters held readings back after the last event, or it did not come over from its tier yet.
+  const Time time = loop_.time();
+  if (seen.period <= Duration{0} || time < seen.first_due) return loop_.now();
+  return loop_.now() - (time - seen.first_due) % seen.period;
+}
+
 void StatusSource::add_seen(Status& status) {
   constexpr Duration span = std::chrono::milliseconds{900};
   const MonotonicTime now = loop_.now(), taken = std::exchange(taken_, now);
@@ -176,7 +186,7 @@ void StatusSource::add_seen(Status& status) {
   for (Status::Sensor& sensor : status.sensors) {
     const auto [place, is_new] = seen_.try_emplace(sensor.name);
     Seen& seen = place->second;
-    if (is_new) seen.readings_before = sensor.readings;
+    if (is_new) seen.readings_before = seen.readings_taken = sensor.readings;
     if (seen.first_due != sensor.first_due || seen.period != sensor.period) seen.now = {}, seen.before.reset();
     seen.first_due = sensor.first_due;
     seen.period = sensor.period;
@@ -191,7 +201,7 @@ void StatusSource::add_seen(Status& status) {
     if (seen.events > 0 && !std::exchange(seen.has_begun, true) &&
         sensor.readings - seen.readings_before == seen.events)  // each reading was an event
       seen.pace.begin(seen.readings_before + 1, seen.first_came_at);
-    seen.pace.add(sensor.readings, seen.came_at > taken ? seen.came_at : now);
+    seen.pace.add(sensor.readings, last_reading(seen, sensor.readings, taken));
     constexpr Duration unknown_period = std::chrono::milliseconds{2500};
     sensor.reached_hz = seen.pace.per_second(
         now, seen.period > Duration{0} || seen.events == 0 ? seen.period : unknown_period);

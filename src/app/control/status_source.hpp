@@ -88,10 +88,11 @@ class StatusSource {
   /// Data of a sensor while a client watches.
   struct Seen {
     std::vector<std::byte> payload;
-    MonotonicTime came_at{}, first_came_at{};  // the last event, and the first that was seen
-    std::uint64_t events = 0;                  // that were seen
-    std::uint64_t readings_before = 0;         // when it began to look
-    bool has_begun = false;                    // its pace is that between events
+    MonotonicTime came_at{}, first_came_at{};            // the last event, and the first that was seen
+    std::uint64_t events = 0;                            // that were seen
+    std::uint64_t readings_before = 0;                   // when it began to look
+    std::uint64_t readings_taken = 0, events_taken = 0;  // when the status was taken last
+    bool has_begun = false;                              // its pace is that between events
     Pace pace;
     Time first_due{};
     Duration period{0};
@@ -107,6 +108,8 @@ class StatusSource {
   void watch();
   void keep_changes();
   void add_seen(Status& status);
+  /// When the last reading was, as far as it is known; `taken`: when the status was taken last.
+  MonotonicTime last_reading(Seen& seen, std::uint64_t readings, MonotonicTime taken) const;
   void add_machines(Status& status) const;
   void add_callbacks(Status& status);
 

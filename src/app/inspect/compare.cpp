@@ -2,8 +2,9 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
+#include <iterator>
 #include <limits>
+#include <list>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <ostream>
@@ -14,6 +15,7 @@
 #include "app/core/recording_commands.hpp"
 #include "app/core/table.hpp"
 #include "app/core/terminal_text.hpp"
+#include "app/inspect/curve_scale.hpp"
 #include "rtdata/data/problem.hpp"
 #include "rtdata/loop/topic.hpp"
 #include "rtdata/recording/recording.hpp"
@@ -63,13 +65,30 @@ struct Side {
   std::string from_utc;
 };
 
+/// A field whose unit changed, between the runs or within one, is one for each unit.
+struct ComparedField {
+  std::string path, unit;
+  Kind kind = Kind::f64;
+  std::array<RunFigures, 2> figures{};
+};
+
 /// One comparison: an origin's events on a topic, in both runs.
 struct Part {
   std::array<std::uint64_t, 2> events{};
   std::array<std::string, 2> lost;
-  std::array<std::uint64_t, 2> pruned{};                    // of the whole run
-  std::vector<std::pair<std::string, std::string>> fields;  // and their units, in order
-  std::map<std::string, std::array<RunFigures, 2>> figures;
+  std::array<std::uint64_t, 2> pruned{};  // of the whole run
+  std::list<ComparedField> fields;        // in order
+
+  /// A new one follows that of the same path, if there is one.
+  ComparedField& field_of(const Leaf& leaf) {
+    auto at = fields.end();
+    for (auto one = fields.begin(); one != fields.end(); ++one) {
+      if (one->path != leaf.path) continue;
+      if (one->unit == leaf.unit) return *one;
+      at = std::next(one);
+    }
+    return *fields.insert(at, {leaf.path, leaf.unit, leaf.kind, {}});
+  }
 };
 using Key = std::pair<std::string, std::string>;  // topic and origin
 
@@ -115,6 +134,7 @@ void read_side(const Recording& recording, const Side& side, std::size_t which, 
   for (const std::string& topic : topics) {
     auto rows = recording.rows({.topic = topic, .run = side.info.run, .from = side.from, .until = side.until})
                     .or_throw();
+    std::map<std::pair<const Part*, const Leaf*>, ComparedField*> known;  // of the descriptions that `rows` has
     while (const RecordedRow* const row = rows.next().or_throw()) {
       const EventView event = row->event();
       Part& part = parts[{topic, std::string(event.origin())}];
@@ -122,9 +142,9 @@ void read_side(const Recording& recording, const Side& side, std::size_t which, 
       for (const Leaf& leaf : event.description().leaves()) {
         const auto value = number_of(event.value(leaf));
         if (!value) continue;
-        const auto [figures, is_new] = part.figures.try_emplace(leaf.path);
-        if (is_new) part.fields.emplace_back(leaf.path, leaf.unit);
-        figures->second[which].add(*value);
+        ComparedField*& field = known[{&part, &leaf}];
+        if (field == nullptr) field = &part.field_of(leaf);
+        field->figures[which].add(*value);
       }
     }
   }
@@ -151,11 +171,34 @@ void add_losses(const Losses& losses, std::map<Key, Part>& parts) {
   }
 }
 
-std::string figure(const RunFigures& of, double value) {
+/// A curve of one step, whose scale gives the digits.
+Curve curve_of(const ComparedField& field, const RunFigures& of) {
+  Curve curve;
+  curve.kind = field.kind;
+  if (of.count != 0) curve.steps.push_back({{}, of.count, of.count, of.least, of.largest, of.mean});
+  return curve;
+}
+
+/// Enough digits to tell values of each run apart, and those of one run from those of the other.
+Scale scale_of(const ComparedField& field) {
+  Curve curve = curve_of(field, field.figures[0]);
+  int digits = Scale(curve).digits;
+  const Curve second = curve_of(field, field.figures[1]);
+  digits = std::max(digits, Scale(second).digits);
+  curve.steps.insert(curve.steps.end(), second.steps.begin(), second.steps.end());
+  Scale both(curve);
+  both.digits = std::max(digits, both.digits);
+  return both;
+}
+
+std::string figure(const ComparedField& field, const RunFigures& of, double value, const Scale& scale) {
+  constexpr double all_exact = 0x1p53;
   if (of.count == 0) return "-";
-  std::array<char, 32> text{};
-  std::snprintf(text.data(), text.size(), "%.5g", value);
-  return text.data();
+  if (std::isnan(value)) return "nan";  // its sign has no meaning
+  const bool is_whole = field.kind != Kind::f32 && field.kind != Kind::f64 && std::abs(value) < all_exact &&
+                        value == std::trunc(value);
+  if (is_whole) return std::to_string(static_cast<std::int64_t>(value));
+  return of.least == of.largest ? exact_text(value, field.kind) : scale.text(value);
 }
 
 std::string title_of(const Side& side) {
@@ -176,18 +219,26 @@ void print(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, s
     for (std::size_t i = 0; i < 2; ++i)
       if (!part.lost[i].empty()) out << "  " << i + 1 << ": in the whole run the topic lost " << part.lost[i] << "\n";
     Table table({"field", "", ">least", ">mean", ">largest"});
-    for (const auto& [field, unit] : part.fields) {
-      std::string name = field + (unit.empty() ? "" : " [" + unit + "]");
+    for (const ComparedField& field : part.fields) {
+      std::string name = field.path + (field.unit.empty() ? "" : " [" + field.unit + "]");
+      const Scale scale = scale_of(field);
       for (std::size_t i = 0; i < 2; ++i) {
-        const RunFigures& of = part.figures.at(field)[i];
-        table.add({std::exchange(name, ""), i == 0 ? "1:" : "2:", figure(of, of.least), figure(of, of.mean),
-                   figure(of, of.largest)});
+        const RunFigures& of = field.figures[i];
+        const auto text = [&](double value) { return figure(field, of, value, scale); };
+        table.add({std::exchange(name, ""), i == 0 ? "1:" : "2:", text(of.least), text(of.mean), text(of.largest)});
       }
     }
     if (!table.empty()) out << table.text("  ", 80);
   }
   const auto has_none = [](const auto& of) { return of.second.events[0] + of.second.events[1] == 0; };
   if (std::all_of(parts.begin(), parts.end(), has_none)) out << "\nNeither of the two runs has an event.\n";
+}
+
+/// Written like the JSON codec.
+Json json_of(double value) {
+  if (std::isnan(value)) return "NaN";
+  if (std::isinf(value)) return value > 0 ? "Infinity" : "-Infinity";
+  return value;
 }
 
 void print_json(const std::array<Side, 2>& sides, const std::map<Key, Part>& parts, std::ostream& out) {
@@ -201,12 +252,12 @@ void print_json(const std::array<Side, 2>& sides, const std::map<Key, Part>& par
              {"lost", part.lost},
              {"pruned", part.pruned}};
     one["fields"] = Json::array();
-    for (const auto& [field, unit] : part.fields) {
-      Json figures{{"field", field}, {"unit", unit}};
+    for (const ComparedField& field : part.fields) {
+      Json figures{{"field", field.path}, {"unit", field.unit}};
       for (const char* name : {"count", "min", "mean", "max", "deviation"}) figures[name] = Json::array();
-      for (const RunFigures& of : part.figures.at(field)) {
+      for (const RunFigures& of : field.figures) {
         const auto add = [&](const char* name, double value) {
-          figures[name].push_back(of.count == 0 ? Json() : Json(value));
+          figures[name].push_back(of.count == 0 ? Json() : json_of(value));
         };
         figures["count"].push_back(of.count);
         add("min", of.least);

@@ -16,23 +16,24 @@ std::string word(const CourseEvent& event, std::string_view field) {
   return {};
 }
 
-/// False: the command is not a note.
+/// False: the command is not a note, or was refused.
 bool fill_note(CourseEvent& event) {
   constexpr std::string_view verb = "note ";
   const std::string command = word(event, "command");
   event.text = command.substr(std::min(verb.size(), command.size()));
   event.object = word(event, "by");
+  const bool is_done = word(event, "done") == "true";
   event.values = {{"text", event.text}};
-  return command.starts_with(verb);
+  return is_done && command.starts_with(verb);
 }
 
-/// False: it is a note.
+/// False: it is a note, and noted.
 bool fill_command(CourseEvent& event) {
   const std::string outcome = word(event, "outcome");
+  const bool is_done = word(event, "done") == "true";
   event.object = word(event, "by");
-  event.text = word(event, "command") + (word(event, "done") == "true" ? "" : ", refused") +
-               (outcome.empty() ? "" : ": " + outcome);
-  return !word(event, "command").starts_with("note ");
+  event.text = word(event, "command") + (is_done ? "" : ", refused") + (outcome.empty() ? "" : ": " + outcome);
+  return !is_done || !word(event, "command").starts_with("note ");
 }
 
 bool fill_alarm(CourseEvent& event) {
@@ -60,7 +61,7 @@ struct Kind {
 
 const std::vector<Kind>& kinds() {
   static const std::vector<Kind> all{
-      {"command", {"command", "by"}, fill_note, &Course::notes},
+      {"command", {"command", "by", "done"}, fill_note, &Course::notes},
       {"command", {"command", "by", "done", "outcome"}, fill_command, &Course::commands},
       {"alarm", {"level", "alarm", "is_active", "acknowledged", "value", "limit"}, fill_alarm, &Course::alarms},
       {"state_change", {"from", "to", "cause", "lasted"}, fill_state, &Course::states}};

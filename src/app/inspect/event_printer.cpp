@@ -37,6 +37,7 @@ std::string EventPrinter::text(std::string_view json) {
   if (!line.is_object()) return "";
   if (const auto units = line.find("units"); units != line.end() && units->is_object()) {
     auto& of_topic = units_[text_in(line, "of")];
+    of_topic.clear();
     for (const auto& [path, unit] : units->items())
       if (unit.is_string() && unit != "1") of_topic[path] = unit.get<std::string>();
     return "";

@@ -6,11 +6,13 @@
 #include <charconv>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <map>
 #include <ostream>
 #include <string_view>
 #include <utility>
 
+#include "recording/recording_file.hpp"
 #include "rtdata/data/value.hpp"
 #include "rtdata/loop/topic.hpp"
 
@@ -25,6 +27,31 @@ struct Column {
   std::string path, unit;
 };
 
+/// True if it has events in the run, or in any of them if none is chosen.
+bool has_events(const Recording& recording, const RecordedTopic& topic, const std::optional<std::int64_t>& run) {
+  if (!run) return true;
+  auto any = recording.file()->prepare("SELECT EXISTS(SELECT 1 FROM " + sqlite::quoted(topic.table) +
+                                       " WHERE run = ?)");
+  any.bind(1, *run).step();
+  return any.integer(0) != 0;
+}
+
+/// Of each topic the descriptions that the chosen run has events of, or the last.
+std::vector<RecordedTopic> topics_of(const Recording& recording, const std::optional<std::int64_t>& run) {
+  const std::vector<RecordedTopic> topics = recording.topics().or_throw();
+  std::vector<RecordedTopic> chosen;
+  for (auto next = topics.begin(); next != topics.end();) {  // those of one topic stand together
+    const auto end = std::find_if(next, topics.end(),
+                                  [&](const RecordedTopic& other) { return other.topic != next->topic; });
+    const auto last = std::prev(end);
+    for (; next != end; ++next) {
+      const bool is_left = next == last && (chosen.empty() || chosen.back().topic != next->topic);
+      if (is_left || has_events(recording, *next, run)) chosen.push_back(*next);
+    }
+  }
+  return chosen;
+}
+
 /// The columns of a topic, in all of its descriptions.
 std::vector<Column> columns_of_topic(const Recording& recording, const std::vector<RecordedTopic>& topics,
                                      const std::string& topic) {
@@ -37,8 +64,9 @@ std::vector<Column> columns_of_topic(const Recording& recording, const std::vect
       if (same == columns.end()) {
         columns.push_back({leaf.path, leaf.unit});
       } else if (same->unit != leaf.unit) {
-        refuse(Errc::bad_argument, recording, "the unit of " + topic + "." + leaf.path + " changed between runs",
-               "export it without --join, --separator, --decimal, --digits and --time, one run at a time");
+        refuse(Errc::bad_argument, recording, "the unit of " + topic + "." + leaf.path + " changed",
+               "choose a run in which it has one unit by --run, or export it without --join, --separator, --decimal, "
+               "--digits and --time");
       }
     }
   }
@@ -156,11 +184,14 @@ class JoinedTopic {
 
 /// The topic of the rows, among those that the filter takes.
 std::string topic_of_rows(const Recording& recording, const std::vector<RecordedTopic>& topics,
-                          const std::string& pattern) {
+                          const RowFilter& filter) {
   std::string topic;
+  bool has_rows = false;
   for (const RecordedTopic& one : topics) {
-    if (!topic_matches(pattern, one.topic) || one.topic == topic) continue;
-    if (!topic.empty())
+    if (!topic_matches(filter.topic, one.topic) || one.topic == topic) continue;
+    const bool has_its_rows = one.topic == filter.topic || has_events(recording, one, filter.run);
+    if (!topic.empty() && !has_its_rows) continue;
+    if (std::exchange(has_rows, has_its_rows))
       refuse(Errc::bad_argument, recording,
              "a table can have the rows of only one topic, but there are " + topic + " and " + one.topic,
              "choose one by --topic; --join adds columns of others");
@@ -173,8 +204,8 @@ std::string topic_of_rows(const Recording& recording, const std::vector<Recorded
 
 Result<ExportCount> export_table(const Recording& recording, const ExportConfig& config, const TableFormat& format,
                                  std::ostream& out) try {
-  const std::vector<RecordedTopic> topics = recording.topics().or_throw();
-  const std::string topic = topic_of_rows(recording, topics, config.filter.topic);
+  const std::vector<RecordedTopic> topics = topics_of(recording, config.filter.run);
+  const std::string topic = topic_of_rows(recording, topics, config.filter);
   const std::vector<Column> columns = columns_of_topic(recording, topics, topic);
   std::vector<JoinedTopic> joined;
   for (const std::string& name : format.join) {

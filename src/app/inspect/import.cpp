@@ -644,6 +644,11 @@ void tell_warnings(std::ostream& err, const ImportOptions& options, const Found&
          std::to_string(column.first_text_line) + ": if it stands for no value, write --none " + text);
   }
   for (const ImportColumn& column : found.columns) {
+    if (column.is_time || column.is_text || column.can_be_number || column.texts > 0 || !column.has_any) continue;
+    warn("column " + column.heading + " is text: no type of number holds all of its values exactly, such as " +
+         column.first_large + " in line " + std::to_string(column.first_large_line));
+  }
+  for (const ImportColumn& column : found.columns) {
     if (column.is_time || column.is_text || column.can_be_number || column.texts == 0) continue;
     const std::string text = "column " + column.heading + " is text, with numbers such as \"" +
                              detail::readable(column.first_text) + "\": ";

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <set>
 #include <string_view>
+#include <utility>
 
 #include "app/inspect/import_time.hpp"
 #include "data/lower_case.hpp"
@@ -84,8 +85,12 @@ void ImportColumn::look_at(const detail::CsvCell& cell, std::uint64_t line) {
   const std::errc as_integer = detail::read_number(usual_number(cell.text, numbers, buffer), integer);
   const bool is_integer = as_integer == std::errc{};
   constexpr std::int64_t exact = std::int64_t{1} << 53;  // a double holds all integers up to this
-  has_large = has_large || as_integer == std::errc::result_out_of_range ||
-              (is_integer && (integer > exact || integer < -exact));
+  const bool is_large = as_integer == std::errc::result_out_of_range ||
+                        (is_integer && (integer > exact || integer < -exact));
+  if (is_large && !std::exchange(has_large, true)) {
+    first_large = cell.text.substr(0, 40);
+    first_large_line = line;
+  }
   can_be_integer = can_be_integer && is_integer;
   const bool is_a_number = is_number(cell.text, numbers, number);
   can_be_number = can_be_number && is_a_number;

@@ -27,6 +27,8 @@ struct ImportColumn {
   // The types that all its cells can have.
   bool can_be_integer = true, can_be_number = true, has_empty = false, has_any = false;
   bool has_large = false;
+  std::string first_large = {};  // an integer that is not exact as a double
+  std::uint64_t first_large_line = 0;
   bool can_be_with_comma = true, has_comma = false;  // a number with a decimal comma
   bool can_be_thousands = true;                      // its commas may be thousands separators
   bool are_whole = true;                             // no fractions; commas may separate thousands

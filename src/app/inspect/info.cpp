@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <ostream>
 
@@ -12,6 +13,7 @@
 #include "data/wrap.hpp"
 #include "rtdata/recording/recording.hpp"
 #include "rtdata/recording/runs.hpp"
+#include "rtdata/recording/verify.hpp"
 
 namespace rtdata::app {
 namespace {
@@ -21,7 +23,14 @@ using Json = nlohmann::ordered_json;
 Time present() { return std::chrono::time_point_cast<Duration>(std::chrono::system_clock::now()); }
 std::string short_time(Time utc) { return to_iso8601(utc).substr(0, 19) + "Z"; }
 
-std::string table_of(const std::vector<TopicSummary>& topics) {
+/// What the account says of a topic besides its summary.
+struct OfTopic {
+  std::vector<std::string> mute;  // origins from which no event ever came
+  std::uint64_t filtered = 0;     // held back on purpose
+};
+using OfTopics = std::map<std::string, OfTopic>;
+
+std::string table_of(const std::vector<TopicSummary>& topics, const OfTopics& more) {
   bool is_complete = true;
   Table table({"topic", ">rows", ">reached", ">wanted", ">late p50", ">p99", ">max", ">missed", ">dropped"});
   for (const TopicSummary& topic : topics) {
@@ -37,7 +46,7 @@ std::string table_of(const std::vector<TopicSummary>& topics) {
     };
     add(topic.failed, "failed");
     add(topic.unreadable, "unreadable");
-    add(topic.late, "late");
+    add(topic.late, topic.late == 1 ? "read late" : "reads late");
     add(topic.lost.value_or(0), "lost by the source");
     add(topic.first_lines, topic.first_lines == 1 ? "first line discarded" : "first lines discarded");
     if (topic.outages.number != 0) losses += (losses.empty() ? "" : ", ") + to_string(topic.outages);
@@ -47,6 +56,12 @@ std::string table_of(const std::vector<TopicSummary>& topics) {
     if (topic.repeated != 0)
       losses += (losses.empty() ? "" : "; ") + count_of(topic.repeated) +
                 " repeated by the source, which is not a loss";
+    const auto of = more.find(topic.topic);
+    if (of != more.end() && of->second.filtered != 0)
+      losses += (losses.empty() ? "" : "; ") + count_of(of->second.filtered) +
+                " held back on purpose (filtered), which is not a loss";
+    if (of != more.end() && !of->second.mute.empty())
+      losses += (losses.empty() ? "" : "; ") + ("no event ever came from " + detail::listed(of->second.mute));
     if (!topic.made_of_it.empty())
       losses += (losses.empty() ? "" : "; ") +
                 ("not recorded itself: account of what is made of it, " + detail::listed(topic.made_of_it));
@@ -106,7 +121,7 @@ Json json_of(const RunInfo& run, const UtcLine& line) {
 }
 
 /// Uses the keys of a running instance's status, as far as a recording has the values.
-Json json_of(const TopicSummary& topic) {
+Json json_of(const TopicSummary& topic, const OfTopic& more) {
   const auto rate = [](double hertz) { return hertz > 0 ? Json(hertz) : Json(); };
   const auto time = [](const std::optional<Time>& at) { return at ? Json(to_nanoseconds(*at)) : Json(); };
   Json json{{"name", topic.topic},
@@ -119,6 +134,8 @@ Json json_of(const TopicSummary& topic) {
             {"failed", topic.failed},
             {"unreadable", topic.unreadable},
             {"repeated", topic.repeated},
+            {"filtered", more.filtered},
+            {"mute", more.mute},
             {"dropped", topic.dropped},
             {"first_lines", topic.first_lines},
             {"pruned", topic.pruned},
@@ -160,6 +177,7 @@ struct Content {
   std::vector<RecordedTopic> topics;
   std::optional<RunInfo> shown;
   std::vector<TopicSummary> summaries;
+  OfTopics of_topics;
   std::vector<RecordedError> errors;
   std::vector<RecordedHealth> health;
   std::vector<RecordedConfiguration> configurations;
@@ -168,6 +186,21 @@ struct Content {
   Course course;
   UtcLine line{{}};  // of the run that is shown
 };
+
+/// Throws SetupError.
+OfTopics of_topics(const Recording& recording, const std::vector<TopicSummary>& summaries, std::int64_t run) {
+  const RunReport account = account_of(recording, run).or_throw();
+  OfTopics all;
+  for (const LedgerEntry& entry : recording.ledger(run).or_throw()) {
+    OfTopic& topic = all[entry.topic];
+    topic.filtered += entry.sensor.filtered;
+    if (std::find(account.mute.begin(), account.mute.end(), entry.origin) != account.mute.end())
+      topic.mute.push_back(entry.origin);
+  }
+  for (const TopicSummary& topic : summaries)
+    if (!topic.made_of_it.empty()) all[topic.topic].filtered = 0;  // they are the events that are not recorded
+  return all;
+}
 
 /// Throws SetupError.
 Content read(const Recording& recording, std::vector<RunInfo> runs, std::optional<RunInfo> shown,
@@ -184,6 +217,7 @@ Content read(const Recording& recording, std::vector<RunInfo> runs, std::optiona
   if (!content.shown) return content;
   const std::int64_t run = content.shown->run;
   content.summaries = summary(recording, run).or_throw();
+  content.of_topics = of_topics(recording, content.summaries, run);
   content.errors = recording.errors(run).or_throw();
   content.health = recording.health(run).or_throw();
   content.course = course_of(recording, content.topics, run);
@@ -258,7 +292,7 @@ void print(const Recording& recording, const Content& content, InfoOptions::Gaps
     out << lines;
   }
   out << "\nrun " << content.shown->run << "\n";
-  out << table_of(content.summaries);
+  out << table_of(content.summaries, content.of_topics);
   if (gaps == InfoOptions::Gaps::listed) print_gaps(content, out);
   const std::string of_run = " run " + std::to_string(content.shown->run);
   print_first(content.errors, 10, "errors of" + of_run, out, [&](const RecordedError& error) {
@@ -315,7 +349,10 @@ void print_json(const Recording& recording, const Content& content, InfoOptions:
   for (std::size_t i = 0; i < content.runs.size(); ++i)
     json["runs"].push_back(json_of(content.runs[i], content.lines[i]));
   json["shown_run"] = content.shown ? Json(content.shown->run) : Json();
-  list("topics", content.summaries, [](const TopicSummary& topic) { return json_of(topic); });
+  list("topics", content.summaries, [&](const TopicSummary& topic) {
+    const auto of = content.of_topics.find(topic.topic);
+    return json_of(topic, of == content.of_topics.end() ? OfTopic{} : of->second);
+  });
   list("errors", content.errors, [&](const RecordedError& error) {
     return Json{{"time", to_nanoseconds(error.time)},
                 {"object", error.object},

@@ -32,7 +32,8 @@ std::string dumped(const Json& json) { return json.dump(-1, ' ', false, Json::er
 struct Line {
   Time time{};
   std::string topic;
-  std::string json;  // without its end
+  std::string json;        // without its end
+  std::string table = {};  // of the event or step; others have none
 };
 
 Line line_of_gap(const RecordedGap& gap, const UtcLine& utc) {
@@ -173,11 +174,14 @@ class Content {
     std::vector<std::byte> bytes;
     codec_->encode(EventView(event.topic(), header, event.description(), event.payload()), bytes).or_throw();
     while (!bytes.empty() && bytes.back() == std::byte{'\n'}) bytes.pop_back();
-    return {utc, std::string(event.topic()), {reinterpret_cast<const char*>(bytes.data()), bytes.size()}};
+    return {utc,
+            std::string(event.topic()),
+            {reinterpret_cast<const char*>(bytes.data()), bytes.size()},
+            row.topic().table};
   }
   Line line_of(const RecordedRow& row, Time utc) const {
     if (step_ == Duration{0}) return line_of_event(row, utc);
-    return {utc, row.topic().topic, json_of_step(row, step_)};
+    return {utc, row.topic().topic, json_of_step(row, step_), row.topic().table};
   }
 
   /// Throws SetupError: it matches nothing.
@@ -214,7 +218,7 @@ class Content {
   const std::unique_ptr<Codec> codec_ = make_json_codec();
 };
 
-/// Prints lines, the units of a topic before its first.
+/// Prints lines, the units of a topic before its first and again where they change.
 class Output {
  public:
   Output(const Recording& recording, const RecordedTailOptions& options, std::ostream& out)
@@ -223,13 +227,13 @@ class Output {
       Json units = Json::object();
       for (const Leaf& leaf : topic.description->leaves())
         if (!leaf.unit.empty()) units[leaf.path] = leaf.unit;
-      if (!units.empty()) units_[topic.topic] = dumped({{"units", std::move(units)}, {"of", topic.topic}});
+      units_[topic.table] = dumped({{"units", std::move(units)}, {"of", topic.topic}});
     }
   }
   void operator()(const Line& line) {
-    if (const auto units = units_.find(line.topic); units != units_.end()) {
-      print(units->second);
-      units_.erase(units);
+    if (const auto units = units_.find(line.table); units != units_.end()) {
+      std::string& last = told_[line.topic];
+      if (last.empty() ? !units->second.starts_with(no_units) : units->second != last) print(last = units->second);
     }
     print(line.json);
   }
@@ -245,7 +249,9 @@ class Output {
   std::ostream& out_;
   const ShowAs show_as_;
   EventPrinter printer_;
-  std::map<std::string, std::string> units_;  // by topic; those that were not printed yet
+  static constexpr std::string_view no_units = "{\"units\":{}";
+  std::map<std::string, std::string> units_;  // by table
+  std::map<std::string, std::string> told_;   // by topic: the last
 };
 
 /// The newest lines: searches a part of the run first, then larger parts.

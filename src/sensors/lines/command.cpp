@@ -191,6 +191,7 @@ void check_config(const CommandConfig& config, const ConfigItem& item, Problems&
   if (config.run.empty() || config.run.front().empty())
     detail::add_mistake({"run", "it names no program", "write one, such as [\"python3\", \"hx711.py\"]"}, item,
                         problems);
+  detail::add_mistake(detail::mistake_in_program(config.run), item, problems);
   check_config(config.lines, item, problems);
 }
 
