@@ -105,8 +105,7 @@ ModbusRtu::ModbusRtu(const std::string& bus, std::shared_ptr<SerialTransport> tr
       reconnect_(std::move(reconnect)),
       line_(bus, std::move(transport), config.answer_timeout, config.timeout, config.echo) {}
 
-Result<int> ModbusRtu::ask(BusDevice& device, unsigned number, RtuBytes request, std::size_t size,
-                           Answer& answer) {
+Result<int> ModbusRtu::ask(BusDevice& device, unsigned number, RtuBytes request, std::size_t size, Answer& answer) {
   AskedLine::Partner& unit = units_[number];
   Result<std::size_t> settled = line_.settle(unit, silence_);
   // The server has closed an idle connection: this opens it again.

@@ -97,8 +97,8 @@ private = {
     "net/ip_address.hpp": {"app/page/page_server.cpp"},
     "net/tls_mistakes.hpp": {"app/page/check_page.cpp"},
     "net/http_url.hpp": {"app/core/shipped_outputs.cpp"},
-    "recording/account_text.hpp": {"app/control/account.cpp"},
-    "recording/recording_file.hpp": {"app/run/left_backlogs.cpp"},
+    "recording/account_text.hpp": {"app/control/account.cpp", "app/inspect/report_figures.cpp", "app/page/view.cpp"},
+    "recording/recording_file.hpp": {"app/inspect/export_table.cpp", "app/run/left_backlogs.cpp"},
     "recording/replay_choice.hpp": {"app/run/replay.cpp"},
     "sinks/core/sink_node.hpp": {"app/run/passing_time.cpp"},
 }
