@@ -156,7 +156,7 @@ class Page {
   }
 
   void verdict() {
-    const bool is_whole = run_.losses.empty() && run_.not_known.empty();
+    const bool is_whole = run_.losses.empty() && run_.not_known.empty() && run_.mute.empty();
     const bool is_bad = content_.report.exit_code() != 0;
     const bool is_good = is_whole && content_.report.verdict() == Verdict::balanced;
     add("<div class=\"verdict ", is_bad ? "bad" : is_good ? "good" : "part", "\"><b>", run_.lines.at(0), "</b>");
