@@ -13,7 +13,7 @@ writeFileSync(join(folder, "bench.json"), JSON.stringify({
   sensors: [
     {name: "cpu", type: "host", quantity: "cpu", rate: "50 Hz", topic: "host/cpu"},
     {name: "load", type: "host", quantity: "load", rate: "5 Hz", topic: "host/load"},
-    {name: "busy", type: "limit", on: "host/cpu", field: "busy", high: 60, high_high: 98, hysteresis: 5},
+    {name: "busy", type: "limit", on: "host/load", field: "running", high: 8, high_high: 20, hysteresis: 2},
   ],
   sinks: [{type: "sqlite", path: "bench.db"}],
 }));
