@@ -297,7 +297,7 @@ bool Processor::run(Group& group, const std::byte* payload, Time time, bool& is_
   const Op* const end = ops_.data() + group.end_op;
   for (Op* op = ops_.data() + group.first_op; op != end; ++op) {
     double* const a = numbers_.data() + op->first;
-    double* const b = a + lanes;
+    double* const b = a == nullptr ? nullptr : a + lanes;  // null: no step has numbers
     switch (op->step) {
       case OpKind::scale:
         for (std::size_t i = 0; i < lanes; ++i) x[i] = x[i] * a[i] + b[i];
